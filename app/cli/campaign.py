@@ -19,10 +19,11 @@ app = typer.Typer()
 def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
     """Check a schedule against a rig: rows, duration, warnings.
 
-    Also: how far each axis moves, which directions are blocked by the mirror unit, and with a second standard which difference
-    of the two would be found. No device is opened and nothing moves.
+    The command also lists how far each axis moves and which directions the mirror unit blocks. With a second standard it
+    states the smallest difference between the two standards that the campaign can detect. No device is opened and nothing
+    moves.
 
-    Exit status: 2 if the rig cannot do the schedule.
+    Exit status: 0 if the rig can do the schedule, else 2.
     """
     from goniotwin.app.cli.work.check import check_schedule
 
@@ -38,8 +39,8 @@ def rehearse(
         typer.Option(
             "--sample",
             metavar="NAME=MODEL",
-            help="Model of a sample of the schedule, such as paper=lambertian:reflectance=0.8 or paper=table:FILE; may be "
-            "repeated.",
+            help="Use this model for a sample of the schedule: paper=lambertian:reflectance=0.8 or paper=table:FILE. "
+            "You can repeat the option.",
             show_default=False,
         ),
     ] = None,
@@ -52,18 +53,22 @@ def rehearse(
     ] = None,
     processes: Annotated[
         int,
-        typer.Option("--processes", metavar="P", min=1, help="Rehearse a long schedule in so many blocks of rows at once."),
+        typer.Option("--processes", metavar="P", min=1, help="Number of processes that share the rows of a long schedule."),
     ] = 1,
     as_json: Json = False,
 ) -> None:
     """Run a campaign on the digital twin, in simulated time.
 
-    Gives the duration, the predicted uncertainty and warnings. Drivers, bytes and plan are those of the campaign. For the
-    file of a real rig, the twin is built from that file; no device is opened. An error in the rig file (a direction of
-    rotation, a gear ratio) is in the twin too, so a rehearsal cannot show it. With several processes lamp, noise and random
-    positions are those of other times; without noise, drift and disturbances the values are the same.
+    The command prints the duration, the predicted uncertainty and warnings. A rehearsal uses the same drivers, the same
+    commands to the devices and the same plan as the campaign. No device is opened.
 
-    Exit status: 0 if all rows are done, 1 after a fault, 3 if the schedule's [stop] ended it.
+    For a real rig, the program builds the twin from the rig file. The twin repeats an error of that file, such as a wrong
+    direction of rotation or gear ratio. A rehearsal cannot show such an error.
+
+    With several processes, the lamp, the noise and the random positions follow the times that the plan expects. Without noise,
+    drift and disturbances, the values do not depend on the number of processes.
+
+    Exit status: 0 if all rows are done, 1 after a fault, 3 if the schedule's [stop] ended the rehearsal.
     """
     from goniotwin.app.cli.work.rehearsal import rehearse_schedule
 
@@ -76,7 +81,7 @@ def prove(
     rig: Annotated[
         Path | None,
         typer.Option(
-            "--rig", metavar="RIG.toml", help="Rig file; with --structures that of the examples by default.", show_default=False
+            "--rig", metavar="RIG.toml", help="Rig file. With --structures, the default is an example rig.", show_default=False
         ),
     ] = None,
     structures: Annotated[
@@ -84,20 +89,20 @@ def prove(
         typer.Option(
             "--structures",
             metavar="N",
-            help="In place of a schedule: so many drawn ones with drawn samples, counted together.",
+            help="Draw this number of random schedules and samples, instead of a given schedule.",
             show_default=False,
         ),
     ] = None,
-    rigs: Annotated[int, typer.Option("--rigs", metavar="M", help="Number of virtual rigs, of each structure.")] = 20,
+    rigs: Annotated[int, typer.Option("--rigs", metavar="M", help="Number of virtual rigs for each schedule.")] = 20,
     without_wires: Annotated[
-        bool, typer.Option("--without-wires", help="Without devices: the light of the fast estimator into the same reduction.")
+        bool, typer.Option("--without-wires", help="Simulate the light alone, without devices. The reduction is the same.")
     ] = False,
     out: Annotated[
         Path | None,
         typer.Option(
             "--out",
             metavar="DIR",
-            help="Folder for the results; default SCHEDULE.proof, or structures.proof.",
+            help="Folder for the results. The default is SCHEDULE.proof, or structures.proof.",
             show_default=False,
         ),
     ] = None,
@@ -107,20 +112,21 @@ def prove(
 ) -> None:
     """Prove the stated uncertainties on many virtual rigs.
 
-    They are off by as much as the rig file states as uncertain: each is drawn from [uncertainty] with a seed of its own,
-    measures the whole schedule on the virtual clock, and its values are compared with the truth. Given are the coverage of
-    the 95 % interval by decade of signal, side, plane, zenith, sigma, wavelength and sample, with its standard error over rigs,
-    what is left after a fit of the shared inputs, and reflectances. A key of [twin.disturbances] in the rig file is a fault of
-    which the rest of the file knows nothing.
+    The program draws the errors of each virtual rig from [uncertainty] of the rig file, with a seed of its own. Each rig
+    measures the whole schedule in simulated time. The program then compares its values with the truth.
 
-    With --structures the schedules and the samples are drawn too, structure k always alike, and each has rigs of its own. The
-    files of a structure are in the folder of the results, and are proved by themselves like any others. The cells are judged:
-    those whose coverage is off by more than 1 % and 2.6 of its standard errors are named.
+    The command prints the coverage of the 95 % interval by decade of signal, side, plane, zenith, sigma, wavelength and sample.
+    Each coverage has its standard error over the rigs. It also prints the reflectances, and what is left after a fit of the
+    inputs that values share. A key of [twin.disturbances] adds a fault that [uncertainty] does not include.
 
-    A rig that is done is not run again: after Ctrl-C the same command continues, and more --rigs of a schedule, or more
-    --structures, are added to those that are done. With --dask other computers compute them (docs/analyse/sweeps.md).
+    With --structures, the program also draws the schedules and the samples. Structure number k is the same in every run. The
+    folder of the results has the files of each structure, and you can prove each one by itself. The command names each group
+    whose coverage is off by more than 1 % and by more than 2.6 standard errors.
 
-    Exit status: 0 if all rigs are done, 1 if a campaign came to no end, 130 after Ctrl-C.
+    A finished rig is not run again. After Ctrl-C the same command continues, and you can ask for more --rigs or
+    --structures. With --dask, other computers compute them (docs/analyse/sweeps.md).
+
+    Exit status: 0 if all rigs are done, 1 if a campaign did not finish, 130 after Ctrl-C.
     """
     if structures is not None and schedule is not None:
         raise UserError(f"--structures: draws the schedules; leave {schedule} out")
@@ -147,7 +153,7 @@ def run(
         typer.Option("--resume", metavar="JOURNAL", help="Resume the campaign of this data file.", show_default=False),
     ] = None,
     accept_rig: Annotated[
-        bool, typer.Option("--accept-rig", help="With --resume: use the journal's rig, though another was used last.")
+        bool, typer.Option("--accept-rig", help="With --resume: do not ask when this computer used another rig last.")
     ] = False,
     transcript: TranscriptOption = None,
     speed: Annotated[
@@ -156,25 +162,25 @@ def run(
             "--speed",
             min=LEAST_SPEED,
             max=GREATEST_SPEED,
-            help="Simulation speed of a virtual rig, which a window can then show.",
+            help="Simulation speed of a virtual rig. A window can then show the run.",
         ),
     ] = None,
     as_json: Json = False,
 ) -> None:
     """Measure a campaign, or resume one.
 
-    Schedule and rig are checked first. Each row is on the disk before the next one starts. A window with the same rig file
-    shows the run and can pause or stop it; for a virtual rig only with --speed, because without it the time is not real.
+    The program checks the schedule and the rig first. It writes each row to the disk before the next one starts. A window
+    with the same rig file shows the run and can pause or stop it. For a virtual rig, this needs --speed.
 
-    With --resume, the schedule and the rig come from the journal. Give --rig only if the devices have other ports now; a rig
-    that differs in anything else is refused. A rig other than the one that this computer used last is used only after a
-    question, or with --accept-rig. Missing and skipped rows are measured, after the sample is mounted again, a
-    dark reading and a drift check.
+    With --resume, the schedule and the rig come from the journal. Give --rig only if the devices have other ports now. The
+    program refuses a rig that differs in anything else. If this computer used another rig last, the program asks first, unless
+    you give --accept-rig. You mount the sample again. After a dark reading and a drift check, the program measures the missing
+    and the skipped rows.
 
-    Exit status: 0 if all rows are done; 1 after a fault, if rows were skipped after faults, or if the data file cannot be read
-    back; 2 if schedule or rig are
-    refused (no journal is created); 3 if the schedule ended the campaign ([stop], or a drift beyond its limit); 130 after
-    Ctrl-C. After 1, 3 and 130 the journal has all measured rows, and --resume continues.
+    Exit status: 0 if all rows are done. 1 after a fault, if rows were skipped after faults, or if the data file cannot be read
+    back. 2 if the schedule or the rig is refused. Then there is no journal. 3 if the schedule ended the campaign, by [stop] or
+    by a drift beyond its limit. 130 after Ctrl-C. After 1, 3 and 130, the journal has all measured rows, and --resume
+    continues.
     """
     _check_arguments(schedule, rig, out, resume)
     from goniotwin.app.cli.work.run import resume_journal, run_schedule

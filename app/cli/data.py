@@ -21,31 +21,31 @@ FormatOption = Annotated[
     typer.Option(
         "--format",
         metavar="FORMAT",
-        help="A format of the list below, by its name; else that of the file's suffix.",
+        help="File format, from the list below. By default the suffix of the file decides.",
         show_default=False,
     ),
 ]
-SampleOption = Annotated[str | None, typer.Option("--sample", help="Sample, if there are several.", show_default=False)]
+SampleOption = Annotated[str | None, typer.Option("--sample", help="Which sample, if there are several.", show_default=False)]
 LightOption = Annotated[
     Literal["reflected", "transmitted"] | None,
-    typer.Option("--light", help="Light, if there are both and the format holds one.", show_default=False),
+    typer.Option("--light", help="Which light, if the data have both and the format holds one.", show_default=False),
 ]
 SideOption = Annotated[
     Literal["front", "back"] | None,
-    typer.Option("--side", help="Lit side, if there are both; a table of one side is of the front.", show_default=False),
+    typer.Option("--side", help="Which lit side, if there are both. A format for one side gets the front.", show_default=False),
 ]
 WavelengthOption = Annotated[
     str | None,
     typer.Option(
-        "--wavelength", metavar="NM|all", help="One wavelength; with all, a file of each: NAME.550nm.bsdf.", show_default=False
+        "--wavelength", metavar="NM|all", help="One wavelength. With all, one file each: NAME.550nm.bsdf.", show_default=False
     ),
 ]
 FillOption = Annotated[
     Fill,
-    typer.Option("--fill", help="How a table's holes are filled, where nothing was measured: docs/exchange/formats.md."),
+    typer.Option("--fill", help="How to fill directions that were not measured: docs/exchange/formats.md."),
 ]
 DamagedOption = Annotated[
-    bool, typer.Option("--without-damaged", help="Leave out the rows that are damaged, instead of writing nothing.")
+    bool, typer.Option("--without-damaged", help="Leave out damaged rows. Otherwise they prevent the output.")
 ]
 
 
@@ -64,10 +64,13 @@ def export(
 ) -> None:
     """Reduce a data file (journal) and write the BSDF.
 
-    The journal is not changed. A .csv has every measured point, with its standard uncertainty. A table such as a .ddr is in
-    specular coordinates and has no gaps: directions without a measurement are filled and listed at its top. The standard
-    uncertainties of FILE.ddr are in FILE.u.ddr, what was not measured is marked in FILE.mask.ddr, on the same grid. An archive
-    (.h5) has everything: points, tables, covariance, schedule, rig and raw counts.
+    The journal is not changed. A .csv file has every measured point, with its standard uncertainty.
+
+    A table such as FILE.ddr is in specular coordinates and has no gaps. The program fills directions without a measurement,
+    and lists them at the top of the table. FILE.u.ddr has the standard uncertainties on the same grid. FILE.mask.ddr marks what
+    was not measured.
+
+    An archive (.h5) has everything: points, tables, covariance, schedule, rig and raw counts.
 
     Exit status: 1 if the journal differs from what was measured, row by row or as a whole.
     """
@@ -92,9 +95,9 @@ def convert(
 ) -> None:
     """Convert a BSDF from one file format to another.
 
-    What the file is, is found by its content; a journal is reduced, as goniotwin export does it. What the other format does not
-    hold is refused, or named. Uncertainties, and the mask of what was not measured, go along: in OUT.u and OUT.mask of the same
-    format, where it has no room for them.
+    The program recognises the format of IN by its content. It reduces a journal as goniotwin export does. It refuses or names
+    what the other format cannot hold. It also writes the uncertainties, and the mask of what was not measured. If the format
+    has no room for them, they go to OUT.u and OUT.mask.
 
     Exit status: 1 if a journal differs from what was measured, row by row or as a whole.
     """
@@ -111,7 +114,8 @@ def info(
 ) -> None:
     """State what a file is.
 
-    Its format, samples, light and directions, how complete it is, and whether it is simulated.
+    The command prints the format, the samples, the light and the directions. It states how complete the data are, and whether
+    they are simulated.
     """
     from goniotwin.app.data.information import information
 
@@ -127,24 +131,25 @@ def budget(
         typer.Option(
             "--at",
             metavar="PLACE",
-            help="Where: sigma=30,zenith=35,azimuth=180, or theta and phi; also sample, wavelength, gamma, light, photodiode, "
-            "as far as the journal has several.",
+            help="Direction: sigma=30,zenith=35,azimuth=180, or theta and phi. Add sample, wavelength, gamma, light or "
+            "photodiode if the journal has several.",
             show_default=False,
         ),
     ],
     reflectance: Annotated[
-        bool, typer.Option("--reflectance", help="Of the directional-hemispherical reflectance, instead of one value.")
+        bool, typer.Option("--reflectance", help="List them for the directional-hemispherical reflectance.")
     ] = False,
     every: Annotated[
-        bool, typer.Option("--all", help="Also the components below a hundredth of u; --json always has all of them.")
+        bool, typer.Option("--all", help="Include components below a hundredth of u. --json always has all.")
     ] = False,
     as_json: Json = False,
 ) -> None:
     """List the components of a value's uncertainty by size.
 
-    For each: u in the unit of the value and in percent of it, its share of the square of u, which values share it, its source:
-    the table and key of the rig file, or a measurement, and whether it is measured, stated or an assumed default, with degrees
-    of freedom where they are finite. The squares of the components add up to the square of u.
+    Each component has its u in the unit of the value and in percent of the value. It has its fraction of the square of u, and
+    states which values share it. Its source is a measurement, or a table and key of the rig file. The list tells whether the
+    component is measured, stated or an assumed default, and its degrees of freedom where they are finite. The squares of all
+    components add up to the square of u.
     """
     from goniotwin.app.cli.work.budget import list_components
 
@@ -155,31 +160,27 @@ def budget(
 def align(
     journal: Annotated[
         Path,
-        typer.Argument(
-            metavar="JOURNAL", help="Data file (journal) of a campaign; with --plan a schedule.", show_default=False
-        ),
+        typer.Argument(metavar="JOURNAL", help="Data file (journal). With --plan: a schedule file.", show_default=False),
     ],
     output: Annotated[
         Path | None,
         typer.Option(
             "--output",
             metavar="FILE",
-            help="File to write: the alignment, for [alignment] of the rig file; with "
-            "--plan the schedule. Only a file of its kind is replaced.",
+            help="File to write: the alignment, for [alignment] of the rig file. With --plan: the schedule. Only a file of the "
+            "same kind is replaced.",
             show_default=False,
         ),
     ] = None,
     sample: SampleOption = None,
     watch: Annotated[
-        bool, typer.Option("--watch", help="Look for a misalignment that began during the campaign, which may be running.")
+        bool, typer.Option("--watch", help="Look for a misalignment that began during the campaign. It may still run.")
     ] = False,
-    plan: Annotated[
-        bool, typer.Option("--plan", help="Plan a campaign for an alignment, from a schedule; with --minutes and --rig.")
-    ] = False,
+    plan: Annotated[bool, typer.Option("--plan", help="Plan a campaign for an alignment. Needs --minutes and --rig.")] = False,
     minutes: Annotated[
         float | None,
         typer.Option(
-            "--minutes", metavar="N", min=1.0, help="With --plan: time on the rig's clock, at most 180.", show_default=False
+            "--minutes", metavar="N", min=1.0, help="With --plan: duration on the rig, at most 180 minutes.", show_default=False
         ),
     ] = None,
     rig: Annotated[
@@ -189,15 +190,16 @@ def align(
 ) -> None:
     """Estimate the rig's misalignments from a measured lobe.
 
-    Given are the combinations of tilts, zeros and shifts that the values determine, each with its uncertainty: a single
-    mirror's tilt is never among them. A scan of the open beam in the campaign distinguishes light and arc. With the file in
-    [alignment] of the rig file, the reduction corrects the values of later campaigns, and the twin predicts with it.
+    The command prints the combinations of tilts, zeros and shifts that the values determine, each with its uncertainty. The
+    values never determine the tilt of a single mirror. A scan of the open beam separates errors of the light from errors of
+    the arc. Name the file in [alignment] of the rig file: the reduction then corrects the values of later campaigns, and the
+    twin uses it for predictions.
 
-    With --watch: the residuals of the rows so far are compared with what a misalignment from some row on would do, and it is
-    named, with its size and the row. Exit status: 1 if there is one.
+    With --watch, the command compares the residuals of the rows so far with the effect of a misalignment that begins at one
+    row. It names the misalignment, its size and the row. Exit status: 1 if there is one.
 
-    With --plan: levels of sigma, gamma, beta and shift, for the least uncertainty in the time, beginning with those of a
-    schedule; and the uncertainties that are expected of them, and of the schedule's own at equal time.
+    With --plan, the command starts from the schedule and chooses levels of sigma, gamma, beta and shift. They give the smallest
+    uncertainty in the given time. It prints the expected uncertainties, and those of the given schedule in the same time.
     """
     check_alignment_options(watch=watch, plan=plan, minutes=minutes, rig=rig, output=output)
     if plan and minutes is not None and rig is not None:
@@ -244,10 +246,11 @@ def verify(
 ) -> None:
     """Check the values of a data file against physics.
 
-    And against each other: reciprocity, energy, symmetry, overlaps of photodiodes, drift, instrument signature, obstructed
-    directions. There is one verdict each, with figures; "nothing to judge" where the schedule measures nothing for it. What the
-    campaign observes of its own inputs is a table: how many combinations of them it determines (rank), and whether that
-    contradicts what is stated (chi-square, chance).
+    The checks are reciprocity, energy, symmetry, overlaps of photodiodes, drift, instrument signature and obstructed
+    directions. Each has a verdict with figures. It is "nothing to judge" if the schedule measures nothing for the check.
+
+    A table shows what the campaign finds out about the inputs of the uncertainty. It lists how many combinations of them the
+    values determine (rank), and whether the values contradict the stated uncertainties (chi-square, chance).
 
     Exit status: 1 if a verdict is "fails".
     """
@@ -260,15 +263,15 @@ def verify(
 def closure(
     journal: JournalArgument,
     without_damaged: Annotated[
-        bool, typer.Option("--without-damaged", help="Leave out the rows that are damaged, instead of giving nothing.")
+        bool, typer.Option("--without-damaged", help="Leave out damaged rows. Otherwise they prevent the output.")
     ] = False,
     as_json: Json = False,
 ) -> None:
     """Compare the etalon's scale with that of the open beam.
 
-    For each sigma and wavelength the etalon's radiance factor by its certificate and by the scan of the open beam: ratio,
-    combined uncertainty u, z, and a verdict. The schedule needs the table [open_beam]. With [second_standard] the two standards
-    are compared as well.
+    The etalon's radiance factor follows from its certificate and from the scan of the open beam. For each sigma and wavelength
+    the command prints the ratio of the two, its combined uncertainty u, z, and a verdict. The schedule needs the table
+    [open_beam]. With [second_standard], the command also compares the two standards.
 
     Exit status: 1 if the two scales, or the two standards, certainly do not agree.
     """
@@ -280,14 +283,14 @@ def closure(
 @app.command()
 def copy(
     journal: JournalArgument,
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Copy to make; not overwritten.", show_default=False)],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Copy to write. It must not exist yet.", show_default=False)],
     as_json: Json = False,
 ) -> None:
     """Copy a data file (journal), also while its campaign runs.
 
-    The copy has every row that is committed when it begins, in one file, and is checked.
+    The copy is one file, with every row that is saved when the copy begins. The program checks the copy.
 
-    Exit status: 1 if the journal is damaged; with damaged rows the copy is kept.
+    Exit status: 1 if the journal is damaged. If only rows are damaged, the copy is kept.
     """
     from goniotwin.app.campaign.journal.copies import copy_journal
 

@@ -14,15 +14,16 @@ app = typer.Typer()
 @app.command()
 def doctor(
     rig: Annotated[
-        Path | None, typer.Option("--rig", metavar="RIG.toml", help="Examine its ports too.", show_default=False)
+        Path | None,
+        typer.Option("--rig", metavar="RIG.toml", help="Examine the ports of this rig file too.", show_default=False),
     ] = None,
     as_json: Json = False,
 ) -> None:
     """Examine this computer: libraries, ports, rights, disk.
 
-    Each line is ok, a note, or a problem that prevents measuring, with the remedy. No device is opened and nothing is
-    changed. The text is for a report of a fault: it has no name of a user or a computer. With --rig it has the addresses of
-    the rig file.
+    Each line states ok, a note, or a problem that prevents measuring, with the remedy. No device is opened and nothing is
+    changed. You can send the text with the report of a fault: it has no name of a user or a computer. With --rig, it has the
+    addresses in the rig file.
 
     Exit status: 1 if a problem prevents measuring, else 0.
     """
@@ -42,9 +43,9 @@ def devices(
 ) -> None:
     """List ports and the devices that respond on them.
 
-    With --rig: the devices of a rig file. Without: the serial ports and USB instruments of this computer.
-    Only identities are read, and whether the shutter of a rig file is closed; nothing moves. A port that another program holds
-    is not opened.
+    With --rig, the command lists the devices of the rig file. Without it, the command lists the serial ports and USB
+    instruments of this computer. The program reads the identity of each device. With --rig, it also reads whether the shutter
+    is closed. Nothing moves. The program does not open a port that another program uses.
 
     Exit status: 1 if a device of a rig file does not respond, else 0.
     """
@@ -63,13 +64,13 @@ def home(
     rig: RigOption,
     axes: Annotated[
         list[str] | None,
-        typer.Argument(metavar="AXIS", help="Default: all axes with a [homing] table.", show_default=False),
+        typer.Argument(metavar="AXIS", help="Axes to home. The default is all axes with a [homing] table.", show_default=False),
     ] = None,
 ) -> None:
     """Home axes one after the other; the axes move.
 
-    Only axes with a [homing] table in the rig file can be homed. A rig that a station has is homed through it. Ctrl-C stops
-    the axes.
+    Only axes with a [homing] table in the rig file can be homed. If a station holds the rig, the command works through the
+    station. Ctrl-C stops the axes.
 
     Exit status: 0 if all are homed, 1 after a fault.
     """
@@ -86,7 +87,8 @@ def here(
 ) -> None:
     """Set the current position of an axis (manual referencing).
 
-    Nothing moves. Read the position from the scale of the axis first. A rig that a station has is used through it.
+    Nothing moves. Read the position from the scale of the axis first. If a station holds the rig, the command works through the
+    station.
 
     Exit status: 0 if the position is set, 1 after a fault.
     """
@@ -100,13 +102,13 @@ def station(
     rig: RigOption,
     speed: Speed = 1.0,
     unattended: Annotated[
-        float, typer.Option("--unattended", metavar="S", min=0.0, help="Real time without a client after which it ends.")
+        float, typer.Option("--unattended", metavar="S", min=0.0, help="The station ends after this time without a client, s.")
     ] = 60.0,
 ) -> None:
     """Hold a rig for windows and terminals.
 
-    The window starts one by itself. A campaign goes on in the station when the window is closed or has crashed; the next
-    window attaches to it. Ctrl-C and SIGTERM stop a campaign in order, close the shutter and give the rig back.
+    The window starts a station by itself. A campaign continues in the station when the window closes or crashes. The next
+    window attaches to the station. Ctrl-C and SIGTERM stop the campaign and the axes, close the shutter and release the rig.
 
     Exit status: 0 after a disconnect or without clients, 130 after a signal.
     """
@@ -129,9 +131,9 @@ def move(
 ) -> None:
     """Move an axis to an angle.
 
-    Within the soft limits of the rig file. Ctrl-C stops all axes.
+    The program refuses an angle outside the soft limits of the rig file. Ctrl-C stops all axes.
 
-    Exit status: 0 when it has arrived, 1 after a fault.
+    Exit status: 0 when the axis has arrived, 1 after a fault.
     """
     from goniotwin.app.cli.work.bench import move_axis
 
@@ -141,16 +143,18 @@ def move(
 @app.command()
 def read(
     rig: RigOption,
-    readings: Annotated[int, typer.Option("--readings", metavar="N", min=1, max=1000, help="Readings to average.")] = 1,
+    readings: Annotated[
+        int, typer.Option("--readings", metavar="N", min=1, max=1000, help="Number of readings to average.")
+    ] = 1,
     gain: Annotated[
-        float | None, typer.Option("--gain", metavar="V/A", help="Gain of the amplifiers, V/A.", show_default=False)
+        float | None, typer.Option("--gain", metavar="V/A", help="Gain of the amplifiers.", show_default=False)
     ] = None,
-    dark: Annotated[bool, typer.Option("--dark", help="Close the shutter for it.")] = False,
+    dark: Annotated[bool, typer.Option("--dark", help="Dark reading: close the shutter for the reading.")] = False,
     as_json: Json = False,
 ) -> None:
     """Read all photodiodes and the monitor once.
 
-    Pose, wavelength and shutter stay as they are.
+    The axes, the wavelength and the shutter stay as they are. With --dark, the shutter closes for the reading.
 
     Exit status: 0 with the values, 1 after a fault.
     """
@@ -165,23 +169,23 @@ def verify_device(
     devices: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="DEVICE", help="A name of `goniotwin devices`, or an axis. Default: all devices.", show_default=False
+            metavar="DEVICE", help="Name from `goniotwin devices`, or an axis. The default is all devices.", show_default=False
         ),
     ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Move without asking.")] = False,
     report: Annotated[
-        Path | None, typer.Option("--report", metavar="FILE", help="Write the results as text, to be kept.", show_default=False)
+        Path | None, typer.Option("--report", metavar="FILE", help="Write the results to this text file.", show_default=False)
     ] = None,
     transcript: TranscriptOption = None,
     as_json: Json = False,
 ) -> None:
     """Verify the devices of a rig when it arrives.
 
-    First what moves nothing: identities, settings, reply times, gains, dark levels. Then, after a yes, what moves: small moves,
-    a stop, a change of wavelength, the shutter, the filter wheel. Devices are left as they were found. Ctrl-C stops all axes.
-    The list of checks: docs/rig/arrival.md.
+    The first checks move nothing: identities, settings, reply times, gains, dark levels. Then the program asks you. After a yes
+    it tests small moves, a stop, a change of wavelength, the shutter and the filter wheel. It leaves the devices as it found
+    them. Ctrl-C stops all axes. docs/rig/arrival.md lists the checks.
 
-    Exit status: 0 if nothing differs, 1 if something does, 2 for bad input.
+    Exit status: 0 if nothing differs, 1 if something differs, 2 for bad input.
     """
     from goniotwin.app.cli.work.device_verification import verify_devices
 

@@ -38,12 +38,14 @@ def _options(
     _log_file: Annotated[
         Path | None,
         typer.Option(
-            "--log-file", metavar="FILE", callback=_log_to_file, help="Add the whole log to this file.", show_default=False
+            "--log-file", metavar="FILE", callback=_log_to_file, help="Append the whole log to this file.", show_default=False
         ),
     ] = None,
     _verbose: Annotated[
         int,
-        typer.Option("-v", count=True, callback=_log_to_screen, help="Log on standard error; -vv: rows and each failed try."),
+        typer.Option(
+            "-v", count=True, callback=_log_to_screen, help="Log on standard error. -vv adds rows and failed attempts."
+        ),
     ] = 0,
 ) -> None:
     """The options, as typer reads them."""

@@ -178,7 +178,8 @@ def desktop(
 @app.command()
 def tolerances(
     study: Annotated[
-        Path, typer.Argument(metavar="FILE.toml", help="Study file: docs/physics/tolerances.md.", show_default=False)
+        Path,
+        typer.Argument(metavar="FILE.toml", help="Study file. docs/physics/tolerances.md explains it.", show_default=False),
     ],
     out: Annotated[
         Path | None,
@@ -189,7 +190,8 @@ def tolerances(
     """Find the tolerances of the instrument.
 
     The steps are those of the paper's section 3.3: each deviation alone, all combinations, and limits with which none fails.
-    The command adds yields, the worst corner, sensitivities, and what remains about the measured peak. All is simulated.
+    The command adds yields, the worst corner, sensitivities, and what remains about the measured peak. All results are
+    simulated.
     """
     from goniotwin.app.cli.work.tolerances import print_tolerances
 
@@ -216,8 +218,8 @@ def demo(
 def compile_optics(as_json: Json = False) -> None:
     """Compile the optics once, ahead of the first use.
 
-    Otherwise that takes place in the first command that needs it. The code is kept in files for this computer and this version
-    of the program; results are the same.
+    Without this command, the first command that needs the optics compiles them. The program keeps the code in files for this
+    computer and this version. The results are the same.
     """
     from goniotwin.app.cli.work.compilation import compile_all
 
@@ -226,7 +228,9 @@ def compile_optics(as_json: Json = False) -> None:
 
 @app.command("examples")
 def copy_examples(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder; created if it does not exist.", show_default=False)],
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder for the copies. The command creates it if needed.", show_default=False)
+    ],
     as_json: Json = False,
 ) -> None:
     """Copy the example rigs and schedules into a folder.
@@ -319,12 +323,16 @@ def schema(
         typer.Argument(metavar="rig|schedule|tolerances", help="Kind of file.", show_default=False),
     ],
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="File to write, instead of printing.", show_default=False)
+        Path | None,
+        typer.Option(
+            "--out", metavar="FILE", help="Write the schema to this file, instead of printing it.", show_default=False
+        ),
     ] = None,
 ) -> None:
     """Print JSON Schema of rigs, schedules or studies.
 
-    With it an editor completes and checks such files. A first line `#:schema ./rig.schema.json` in them names the schema.
+    With the schema, an editor completes and checks such files. Name it in the first line of a file:
+    `#:schema ./rig.schema.json`.
     """
     from goniotwin.app.cli.work.schema import write_schema
 

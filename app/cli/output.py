@@ -20,7 +20,7 @@ if TYPE_CHECKING:  # rich is loaded by what prints with it
 LOG = logging.getLogger(__name__)
 LOG.addHandler(logging.NullHandler())  # without a log, printing is enough
 RigOption = Annotated[Path, typer.Option("--rig", metavar="RIG.toml", help="Rig file.", show_default=False)]
-Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, everything else on standard error.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object. Messages go to standard error.")]
 Speed = Annotated[
     float, typer.Option("--speed", min=LEAST_SPEED, max=GREATEST_SPEED, help="Simulation speed of a virtual rig.")
 ]
@@ -29,20 +29,20 @@ TranscriptOption = Annotated[
     typer.Option(
         "--transcript",
         metavar="DIR",
-        help="Record every byte on every wire in this folder, with its time.",
+        help="Record all bytes to and from the devices in this folder, with their times.",
         show_default=False,
     ),
 ]
 Processes = Annotated[
     int | None,
-    typer.Option("--processes", metavar="P", help="How many at once; default all cores.", show_default=False),
+    typer.Option("--processes", metavar="P", help="Number of processes. The default is one for each core.", show_default=False),
 ]
 Dask = Annotated[
     str | None,
     typer.Option(
         "--dask",
         metavar="ADDRESS",
-        help="Compute on the workers of this Dask scheduler (tcp://HOST:8786), or `local`: workers on this computer.",
+        help="Compute on the workers of this Dask scheduler: tcp://HOST:8786, or `local` for this computer.",
         show_default=False,
     ),
 ]

@@ -30,11 +30,12 @@ def serve(
 ) -> None:
     """Serve a virtual rig on ports of this computer.
 
-    Prints one JSON line for each port: `device`, `kind`, and `path` of a pseudo-terminal or `host` and `port`; `unit` for
-    Modbus; `bus_id` for USB/IP. All ports belong to one instrument. `control` is the simulation control port. Ctrl-C or
-    SIGTERM ends it.
+    The command prints one JSON line for each port. A line has `device`, `kind`, and either the `path` of a pseudo-terminal or
+    `host` and `port`. Modbus adds `unit`, USB/IP adds `bus_id`. All ports belong to one instrument. Ctrl-C or SIGTERM ends the
+    command.
 
-    Programs that use USB but not USB/IP reach the monitor with `goniotwin usb`.
+    The port `control` simulates operators and faults. A program that cannot use USB/IP reaches the monitor with
+    `goniotwin usb`.
     """
     print_note(f"preparing the virtual rig of {rig}")  # before the imports, which load compiled code
     from goniotwin.app.cli.work.serve import serve_rig
@@ -47,14 +48,16 @@ def usb(
     context: typer.Context,
     program: Annotated[
         Path,
-        typer.Argument(metavar="PROGRAM.py", help="Program that uses pyusb; its own arguments follow.", show_default=False),
+        typer.Argument(
+            metavar="PROGRAM.py", help="Program that uses pyusb, followed by its own arguments.", show_default=False
+        ),
     ],
     rig: RigOption,
 ) -> None:
     """Run a pyusb program with the USB devices of a virtual rig.
 
-    With the rig file of a served rig (`goniotwin serve --write-rig`) they are those of that rig, which no other program may use
-    meanwhile. The program is not modified.
+    The program runs unmodified. With a rig file from `goniotwin serve --write-rig`, it uses the devices of the served rig. No
+    other program may use that rig at the same time.
     """
     from goniotwin.app.cli.work.usb_program import run_program
 
@@ -63,22 +66,22 @@ def usb(
 
 @app.command()
 def replay(
-    transcripts: Annotated[list[Path], typer.Argument(metavar="TRANSCRIPT.txt", help="Files that --transcript wrote.")],
+    transcripts: Annotated[
+        list[Path], typer.Argument(metavar="TRANSCRIPT.txt", help="Files that the option --transcript wrote.")
+    ],
     rig: RigOption,
-    device: Annotated[
-        str | None, typer.Option("--device", help="Device of the file, if the file name does not have it.")
-    ] = None,
-    mount: Annotated[str | None, typer.Option("--mount", metavar="SAMPLE", help="Sample that is mounted at the start.")] = None,
+    device: Annotated[str | None, typer.Option("--device", help="Device of the file, if its name does not state it.")] = None,
+    mount: Annotated[str | None, typer.Option("--mount", metavar="SAMPLE", help="Sample on the twin at the start.")] = None,
     as_json: Json = False,
 ) -> None:
     """Replay transcripts on the twin and list the differences.
 
-    Each difference is shown byte by byte. No real device is opened.
+    The command shows each difference byte by byte. No real device is opened.
 
-    The file name is the device: axes, monochromator, photodiodes-0 and so on, monitor. Give all files of one recording
-    together: they are replayed in the order of their times, so that shutter and axes are where they were.
+    The file name states the device: axes, monochromator, monitor, photodiodes-0 and so on. Give all files of one recording
+    together. The program replays them in the order of their times, so that the shutter and the axes are where they were.
 
-    Values that depend on time and noise differ: counts, encoder positions, measured currents. Serial numbers do too.
+    Values that depend on time or noise differ: counts, encoder positions, measured currents. Serial numbers differ too.
 
     Exit status: 1 if anything differs, else 0.
     """

@@ -14,7 +14,7 @@ WAVELENGTH_NM, INTERVAL_NM, BANDWIDTH_NM = 555.0, 0.0, 5.0
 """Defaults of the monochromator."""
 Rig = Annotated[
     Path | None,
-    typer.Option("--rig", metavar="RIG.toml", help="Take the instrument of this virtual rig.", show_default=False),
+    typer.Option("--rig", metavar="RIG.toml", help="Simulate the instrument of this virtual rig.", show_default=False),
 ]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of the random numbers.")]
 
@@ -41,10 +41,10 @@ def simulate_sample(
             "--sample",
             metavar="MODEL",
             show_default=False,
-            help="gaussian:width_deg=5, lambertian:reflectance=0.9, regular:reflectance=0.04, wide-tailed:width_deg=2, "
-            "anisotropic-gaussian:along_deg=3,across_deg=12, ward:alpha_x=0.1,alpha_y=0.3, table:FILE (a table in a format "
-            "of the list below), or a sum of these with +. More keys after commas: transmits=true, "
-            "refraction=1.5 (a gaussian that transmits), side=front, back or both.",
+            help="Model of the sample: gaussian:width_deg=5, lambertian:reflectance=0.9, regular:reflectance=0.04, "
+            "wide-tailed:width_deg=2, anisotropic-gaussian:along_deg=3,across_deg=12, ward:alpha_x=0.1,alpha_y=0.3, "
+            "or table:FILE in a format of the list below. Add models with +. Add keys after commas: transmits=true, "
+            "refraction=1.5 (for a gaussian that transmits), side=front, back or both.",
         ),
     ] = None,
     sigma: Annotated[
@@ -57,7 +57,7 @@ def simulate_sample(
             "--out",
             metavar="FILE",
             show_default=False,
-            help="The suffix names a format of the list below: a table, or the points of all detectors; may be repeated.",
+            help="File to write. Its suffix names a format of the list below. You can repeat the option.",
         ),
     ] = None,
     form: Annotated[
@@ -66,21 +66,23 @@ def simulate_sample(
             "--format",
             metavar="NAME",
             show_default=False,
-            help="Format of the files whose suffix several formats have: rgl for FILE.bsdf, which is zemax otherwise.",
+            help="Format, if several formats share the suffix: FILE.bsdf is zemax, unless you give rgl here.",
         ),
     ] = None,
     estimator: Annotated[Literal["fast", "forward"], typer.Option("--estimator", help="Ray-tracing method.")] = "fast",
     rays: Annotated[
-        int | None, typer.Option("--rays", help="fast: rays for each detector; default 7.", show_default=False)
+        int | None, typer.Option("--rays", help="fast: rays for each detector. The default is 7.", show_default=False)
     ] = None,
     paths: Annotated[int | None, typer.Option("--paths", help="forward: paths at each sigma.", show_default=False)] = None,
     error: Annotated[
         float | None,
-        typer.Option("--error", metavar="PERCENT", help="Trace until the median standard error is this.", show_default=False),
+        typer.Option(
+            "--error", metavar="PERCENT", help="Trace until the median standard error is this small.", show_default=False
+        ),
     ] = None,
     seed: Seed = 1,
     wavelength: Annotated[
-        str | None, typer.Option("--wavelength", metavar="LIST", help="Wavelengths, nm; a table for each.", show_default=False)
+        str | None, typer.Option("--wavelength", metavar="LIST", help="Wavelengths, nm. Each has a table.", show_default=False)
     ] = None,
     polar: Annotated[
         str | None,
@@ -91,11 +93,15 @@ def simulate_sample(
     ] = None,
     theta: Annotated[
         str | None,
-        typer.Option("--theta", metavar="LIST", help="Output grid: from the specular direction, deg.", show_default=False),
+        typer.Option(
+            "--theta", metavar="LIST", help="Output grid: angles from the specular direction, deg.", show_default=False
+        ),
     ] = None,
     phi: Annotated[
         str | None,
-        typer.Option("--phi", metavar="LIST", help="Output grid: about the specular direction, deg.", show_default=False),
+        typer.Option(
+            "--phi", metavar="LIST", help="Output grid: angles about the specular direction, deg.", show_default=False
+        ),
     ] = None,
     psi: Annotated[
         str | None,
@@ -103,21 +109,24 @@ def simulate_sample(
             "--psi",
             metavar="LIST",
             show_default=False,
-            help="Azimuths of the light in the frame of an anisotropic sample, deg; default: those of its table, or every 15.",
+            help="Azimuths of the light on an anisotropic sample, deg. The default is those of its table, or every 15.",
         ),
     ] = None,
     rig: Rig = None,
-    no_obstruction: Annotated[bool, typer.Option("--no-obstruction", help="Without the shadow of the mirrors.")] = False,
+    no_obstruction: Annotated[bool, typer.Option("--no-obstruction", help="Ignore the shadow of the mirrors.")] = False,
     transmitted: Annotated[bool, typer.Option("--transmitted", help="Detect on the side that is not lit.")] = False,
     with_stray: Annotated[
-        bool, typer.Option("--stray/--no-stray", help="With light from the frames and light scattered more than once.")
+        bool, typer.Option("--stray/--no-stray", help="Include light from the frames, and light scattered more than once.")
     ] = False,
     source: Annotated[
         Path | None,
-        typer.Option("--source", metavar="FILE.h5", help="forward: rayset instead of a uniform pupil.", show_default=False),
+        typer.Option(
+            "--source", metavar="FILE.h5", help="forward: use this rayset, instead of a uniform pupil.", show_default=False
+        ),
     ] = None,
     interval: Annotated[
-        float | None, typer.Option("--interval", metavar="NM", help="Passband of the rayset.", show_default=False)
+        float | None,
+        typer.Option("--interval", metavar="NM", help="Passband of full transmission of the rayset.", show_default=False),
     ] = None,
     bandwidth: Annotated[
         float | None, typer.Option("--bandwidth", metavar="NM", help="Edge width of the rayset's passband.", show_default=False)
@@ -128,7 +137,7 @@ def simulate_sample(
             "--folder",
             metavar="DIR",
             show_default=False,
-            help="forward: keep finished batches of paths here; the same command continues.",
+            help="forward: keep finished batches of paths in this folder.",
         ),
     ] = None,
     processes: Processes = None,
@@ -137,17 +146,18 @@ def simulate_sample(
 ) -> None:
     """Simulate the BSDF of a sample as the instrument measures it.
 
-    Steps: etalon, sample, ratio, output grid, file. Lists are numbers with commas, or start:stop:step. By default the
-    detectors are 0.5 deg apart near the specular direction and up to 5 deg elsewhere. Directions that the mirrors block have
-    no value; the comments of a table list them. The standard errors of FILE.ddr are in FILE.u.ddr, on the same grid.
+    The program measures the etalon and the sample, takes the ratio, and interpolates it on the output grid. A list has numbers
+    with commas, or start:stop:step. By default, the detectors are 0.5 deg apart near the specular direction and up to 5 deg
+    elsewhere. Directions that the mirrors block have no value. The comments of a table list them. FILE.u.ddr has the standard
+    errors of FILE.ddr, on the same grid.
 
-    An anisotropic sample has a table for each psi. What a sample reflects like a mirror is no spike in the files if one of them
-    has room for it (FILE.sdr, .sdt, .ssdd, .h5): give --out FILE.ddr --out FILE.sdr.
+    An anisotropic sample has a table for each psi. Some formats hold a regular (mirror-like) reflection by itself: FILE.sdr,
+    .sdt, .ssdd and .h5. If you write one of them, the other files have no spike for it: --out FILE.ddr --out FILE.sdr.
 
-    Both estimators count light that was scattered once, by the sample; with --stray all light that arrives.
+    Both estimators count light that the sample scattered once. With --stray they count all light that arrives.
 
-    With --folder a simulation with the forward estimator can be interrupted, and --processes and --dask trace it elsewhere
-    (docs/analyse/sweeps.md).
+    With --folder, you can interrupt the forward estimator. The same command then continues. --processes and --dask trace on
+    several cores or other computers (docs/analyse/sweeps.md).
     """
     if sample is None or not out:
         missing = "--sample" if sample is None else "--out"
@@ -178,19 +188,21 @@ def simulate_sample(
 def rigs(
     sample: Annotated[
         list[str],
-        typer.Option("--sample", metavar="MODEL", help="As of goniotwin simulate sample; may be repeated.", show_default=False),
+        typer.Option(
+            "--sample", metavar="MODEL", help="Model, as for goniotwin simulate sample. You can repeat it.", show_default=False
+        ),
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE.csv", help="Table of all rigs.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.csv", help="Table of all rigs to write.", show_default=False)],
     count: Annotated[int, typer.Option("--rigs", metavar="N", help="Number of random rigs.")] = 100,
     tilt: Annotated[float, typer.Option("--tilt", metavar="DEG", help="Largest tilt.")] = 0.05,
     shift: Annotated[float, typer.Option("--shift", metavar="MM", help="Largest shift.")] = 0.0,
     sigma: Annotated[str, typer.Option("--sigma", metavar="LIST", help="Angles of incidence, deg.")] = "0,30,60",
     polar: Annotated[str, typer.Option("--polar", metavar="LIST", help="Polar angles of the detectors, deg.")] = "0:85:1",
-    azimuth: Annotated[str, typer.Option("--azimuth", metavar="LIST", help="Their azimuths, deg.")] = "0,180",
+    azimuth: Annotated[str, typer.Option("--azimuth", metavar="LIST", help="Azimuths of the detectors, deg.")] = "0,180",
     seed: Seed = 1,
     folder: Annotated[
         Path | None,
-        typer.Option("--folder", metavar="DIR", help="Folder for finished rigs; default FILE.rigs.", show_default=False),
+        typer.Option("--folder", metavar="DIR", help="Folder for finished rigs. The default is FILE.rigs.", show_default=False),
     ] = None,
     processes: Processes = None,
     dask: Dask = None,
@@ -199,12 +211,12 @@ def rigs(
 ) -> None:
     """Simulate samples on random, misaligned rigs.
 
-    The 12 tilts and 15 shifts of mirrors, beam, sample and arc (Table 2 of the paper) are drawn evenly within --tilt and
-    --shift, for each rig anew. Given is by how much the luminance factors differ from those of the rig without them:
-    the relative RMS over all detectors with at least a hundredth of the largest value.
+    For each rig, the program draws the 12 tilts and 15 shifts of mirrors, beam, sample and arc (Table 2 of the paper) evenly
+    within --tilt and --shift. It compares the luminance factors with those of the aligned rig. The result is the relative RMS
+    over all detectors with at least a hundredth of the largest value.
 
-    Rigs that are done are not simulated again: after Ctrl-C the same command continues, more --rigs are added to those that are
-    done, and with --dask other computers simulate them (docs/analyse/sweeps.md).
+    A finished rig is not simulated again. After Ctrl-C the same command continues, and you can ask for more --rigs. With
+    --dask, other computers simulate them (docs/analyse/sweeps.md).
     """
     from goniotwin.app.cli.work.rigs import RigsOptions, simulate_random_rigs
 
@@ -214,10 +226,13 @@ def rigs(
 
 @app.command()
 def illumination(
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help=".png of map and profile, or .csv.", show_default=False)],
+    out: Annotated[
+        Path,
+        typer.Option("--out", metavar="FILE", help="File to write: .png with map and profile, or .csv.", show_default=False),
+    ],
     wavelength: Annotated[float, typer.Option("--wavelength", metavar="NM", help="Wavelength.")] = WAVELENGTH_NM,
     interval: Annotated[
-        float, typer.Option("--interval", metavar="NM", help="Passband of full transmission; 0 is a triangle.")
+        float, typer.Option("--interval", metavar="NM", help="Passband of full transmission. 0 gives a triangle.")
     ] = INTERVAL_NM,
     bandwidth: Annotated[
         float, typer.Option("--bandwidth", metavar="NM", help="Width of each edge of the passband.")
@@ -226,18 +241,18 @@ def illumination(
     seed: Seed = 1,
     rayset: Annotated[
         Path | None,
-        typer.Option("--rayset", metavar="FILE.h5", help="Record the rays that leave the unit.", show_default=False),
+        typer.Option("--rayset", metavar="FILE.h5", help="Record the rays that leave the mirror unit.", show_default=False),
     ] = None,
     rays: Annotated[
         int | None,
-        typer.Option("--rays", help=f"Rays in the rayset; default {RAYSET_RAYS}.", show_default=False),
+        typer.Option("--rays", help=f"Number of rays in the rayset. The default is {RAYSET_RAYS}.", show_default=False),
     ] = None,
     deviation: Annotated[
         list[str] | None,
         typer.Option(
             "--deviation",
             metavar="ELEMENT.FIELD=NUMBER",
-            help="Deviation of an element, deg or mm: slit.x_mm=0.02; as often as needed.",
+            help="Deviation of an element, deg or mm: slit.x_mm=0.02. You can repeat the option.",
             show_default=False,
         ),
     ] = None,
@@ -246,12 +261,13 @@ def illumination(
 ) -> None:
     """Simulate the light on the sample: uniformity and flux.
 
-    Also its divergence. The flux comes from two estimators (the paper's figure 8): forward rays from the arc lamp, adjoint
-    rays from the sample back to it. A rayset is a source for goniotwin simulate sample --source FILE.h5 --estimator forward,
-    with the same --wavelength, --interval, --bandwidth and --rig.
+    The command also prints the divergence. Two estimators compute the flux (the paper's figure 8): forward rays from the arc
+    lamp, and adjoint rays from the sample back to the lamp. Use a rayset with goniotwin simulate sample --source FILE.h5
+    --estimator forward, and give the same --wavelength, --interval, --bandwidth and --rig.
 
-    Elements with deviations are arc, reflector, input_condenser, slit, output_condenser and unit; fields are rx_deg, ry_deg,
-    rz_deg, x_mm, y_mm, z_mm. They replace those of [twin.illumination] in the file of --rig, which a rayset's rig needs too.
+    --deviation takes the elements arc, reflector, input_condenser, slit, output_condenser and unit. Their fields are rx_deg,
+    ry_deg, rz_deg, x_mm, y_mm and z_mm. The deviations replace those of [twin.illumination] in the rig file. The rig that uses
+    the rayset needs them too.
     """
     if rays is not None and rayset is None:
         raise UserError("--rays: is the number of rays in a rayset; give --rayset FILE.h5 too")
@@ -280,7 +296,9 @@ def table3(
 
 @app.command()
 def shadow(
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help=".csv of all directions, or .png.", show_default=False)],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE", help="File to write: .csv of all directions, or .png.", show_default=False)
+    ],
     sigma: Annotated[str, typer.Option("--sigma", metavar="LIST", help="Angles of the mirror unit, deg.")] = "0,30,60",
     step: Annotated[float, typer.Option("--step", help="Step of polar angle and azimuth, deg.")] = 1.0,
     rig: Rig = None,

@@ -10,32 +10,36 @@ from goniotwin.app.cli.output import Json, answer, print_error, print_warning
 from goniotwin.app.data.kinds import KINDS
 from goniotwin.app.errors import UserError
 
-SampleOption = Annotated[str | None, typer.Option("--sample", help="Sample, if there are several.", show_default=False)]
+SampleOption = Annotated[str | None, typer.Option("--sample", help="Which sample, if there are several.", show_default=False)]
 ScaleOption = Annotated[
     bool | None,
     typer.Option("--log/--linear", help="Scale of the values.", show_default="by their range"),
 ]
-Dpi = Annotated[int, typer.Option("--dpi", min=50, max=1200, help="Pixels an inch, of a PNG.")]
+Dpi = Annotated[int, typer.Option("--dpi", min=50, max=1200, help="Resolution of a PNG, pixels per inch.")]
 
 app = typer.Typer()
 
 
 @app.command(epilog="\n\n".join(f"{kind}: {text}" for kind, text in KINDS.items()))
 def plot(
-    data: Annotated[Path, typer.Argument(metavar="DATA", help="Journal, or any file that can be read.", show_default=False)],
+    data: Annotated[Path, typer.Argument(metavar="DATA", help="Journal, or a file of any format.", show_default=False)],
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Picture to write: .png or .svg.", show_default=False)],
-    kind: Annotated[str, typer.Option("--kind", metavar="|".join(KINDS), help="What is drawn; see below.")] = "cuts",
+    kind: Annotated[str, typer.Option("--kind", metavar="|".join(KINDS), help="What to draw. See the list below.")] = "cuts",
     sample: SampleOption = None,
     sigma: Annotated[
         list[float] | None,
-        typer.Option("--sigma", metavar="DEG", help="Incidence; may be given several times.", show_default="all of them"),
+        typer.Option(
+            "--sigma", metavar="DEG", help="Angle of incidence, deg. You can repeat the option.", show_default="all of them"
+        ),
     ] = None,
     psi: Annotated[
-        float | None, typer.Option("--psi", metavar="DEG", help="Azimuth of the light.", show_default="the first one")
+        float | None, typer.Option("--psi", metavar="DEG", help="Azimuth of the light, deg.", show_default="the first one")
     ] = None,
     wavelength: Annotated[
         list[float] | None,
-        typer.Option("--wavelength", metavar="NM", help="Wavelength; several for a spectrum.", show_default="the middle one"),
+        typer.Option(
+            "--wavelength", metavar="NM", help="Wavelength. Repeat the option for a spectrum.", show_default="the middle one"
+        ),
     ] = None,
     log: ScaleOption = None,
     dpi: Dpi = 150,
@@ -43,7 +47,7 @@ def plot(
 ) -> None:
     """Draw the values of a journal or a file.
 
-    Values that have no place on a logarithmic scale are marked at its lower edge.
+    Marks at the lower edge of a logarithmic scale show values that the scale cannot have, such as negative ones.
     """
     from goniotwin.app.cli.work.plot import plot_values
 
@@ -57,11 +61,14 @@ def compare(
         str, typer.Argument(metavar="A", help="Journal, file, or model such as gaussian:width_deg=5.", show_default=False)
     ],
     second: Annotated[
-        str, typer.Argument(metavar="B", help="The same, or theory: the known sample of A's virtual rig.", show_default=False)
+        str,
+        typer.Argument(
+            metavar="B", help="The same, or the word theory: the known sample of A's virtual rig.", show_default=False
+        ),
     ],
     sample: Annotated[
         list[str] | None,
-        typer.Option("--sample", help="Sample, if there are several; twice for one of A and one of B.", show_default=False),
+        typer.Option("--sample", help="Which sample, if there are several. Give it twice for A and for B.", show_default=False),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="Picture to write: .png or .svg.", show_default=False)
@@ -69,19 +76,23 @@ def compare(
     theta: Annotated[float, typer.Option("--theta", min=0.0, max=180.0, help="Largest theta in formula 5, deg.")] = 180.0,
     polar: Annotated[float, typer.Option("--polar", min=0.0, max=90.0, help="Largest polar angle in formula 5, deg.")] = 85.0,
     least_share: Annotated[
-        float, typer.Option("--least-share", min=0.0, max=1.0, help="Least value in formula 5, of the largest one.")
+        float,
+        typer.Option("--least-share", min=0.0, max=1.0, help="Smallest value in formula 5, as a fraction of the largest."),
     ] = 0.01,
-    in_plane: Annotated[bool, typer.Option("--in-plane", help="Formula 5 in the plane of incidence alone.")] = False,
+    in_plane: Annotated[bool, typer.Option("--in-plane", help="Use only the plane of incidence for formula 5.")] = False,
     log: ScaleOption = None,
     dpi: Dpi = 150,
     as_json: Json = False,
 ) -> None:
     """Compare two BSDFs: measured, simulated, or theoretical.
 
-    The paper's formula 5 (relative RMS) with its range of directions, the deviations z in their uncertainty, and chi-square,
-    light by light, in the directions of A; where B has no value there it is interpolated. A and B are journals, files of any
-    format, or models. A model is evaluated in the directions of the other; "theory" is that of the virtual rig with which A was
-    measured. The picture has profiles with bands, and maps of z.
+    A and B are journals, files of any format, or models. The program compares them in the directions of A, and interpolates B
+    where B has no value. It evaluates a model in the directions of the other data. "theory" is the known sample of the virtual
+    rig with which A was measured.
+
+    The command prints the relative RMS (the paper's formula 5) with its range of directions, the deviations z in units of their
+    uncertainty, and chi-square. Reflected and transmitted light have figures of their own. The picture has profiles with bands,
+    and maps of z.
     """
     from goniotwin.app.cli.work.comparison import compare_pair
 
@@ -96,16 +107,16 @@ def report(
         Path | None, typer.Option("--out", metavar="FILE.html", help="File to write.", show_default="beside the journal")
     ] = None,
     without_damaged: Annotated[
-        bool, typer.Option("--without-damaged", help="Leave out the rows that are damaged, instead of writing nothing.")
+        bool, typer.Option("--without-damaged", help="Leave out damaged rows. Otherwise they prevent the output.")
     ] = False,
     as_json: Json = False,
 ) -> None:
     """Write the report of a campaign, one HTML file.
 
-    It needs no other file, and can be read and printed.
+    Any browser shows and prints the file. It needs no other file.
 
-    What was measured, on what, how, and with which uncertainty and budget; plots; the checks of goniotwin verify and closure;
-    faults and flags; the metadata; the digest of the raw data. The journal is not changed.
+    The report states what was measured and how, with the uncertainties and the budget. It has plots, the checks of goniotwin
+    verify and closure, faults and flags, the metadata, and the digest of the raw data. The journal is not changed.
     """
     from goniotwin.app.data.report.report import write_report
 
@@ -129,24 +140,22 @@ def report(
 
 @app.command()
 def render(
-    first: Annotated[
-        Path | None, typer.Argument(metavar="A", help="File of a table, of any format.", show_default=False)
-    ] = None,
-    second: Annotated[Path | None, typer.Argument(metavar="B", help="File of another table.", show_default=False)] = None,
+    first: Annotated[Path | None, typer.Argument(metavar="A", help="Table, in any file format.", show_default=False)] = None,
+    second: Annotated[Path | None, typer.Argument(metavar="B", help="Another table.", show_default=False)] = None,
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Picture to write, .png.")] = Path("render.png"),
     figure14: Annotated[
-        bool, typer.Option("--figure14", help="Instead of A and B: the paper's Gaussians, and as the prototype measures them.")
+        bool, typer.Option("--figure14", help="Instead of A and B: render the Gaussians of the paper's figure 14.")
     ] = False,
-    size: Annotated[int, typer.Option("--size", min=8, max=2048, help="Pixels of a side of each picture.")] = 128,
-    rays: Annotated[int, typer.Option("--rays", min=1, max=65536, help="Paths of each pixel.")] = 64,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random numbers, the same for both.")] = 1,
+    size: Annotated[int, typer.Option("--size", min=8, max=2048, help="Width and height of each picture, pixels.")] = 128,
+    rays: Annotated[int, typer.Option("--rays", min=1, max=65536, help="Number of light paths for each pixel.")] = 64,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random numbers of both pictures.")] = 1,
     as_json: Json = False,
 ) -> None:
     """Render a sphere with two BSDFs, and their difference.
 
-    The sphere is in a box with walls of a checkerboard, under a rectangular light. With --figure14 there are four columns:
-    Gaussians of 2, 5, 15 and 30 deg by formula 6 above, as the virtual prototype with the worst combination of its deviations
-    measures them below. Needs Mitsuba 3: pip install 'goniotwin[render]'.
+    The sphere is in a box with checkerboard walls, under a rectangular light. With --figure14, the picture has four columns:
+    Gaussians of 2, 5, 15 and 30 deg. The upper row shows formula 6. The lower row shows what the virtual prototype measures
+    with the worst combination of its deviations. The command needs Mitsuba 3: pip install 'goniotwin[render]'.
     """
     if figure14 != (first is None and second is None) or (first is None) != (second is None):
         raise UserError("render: give two files, or --figure14 alone")
