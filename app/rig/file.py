@@ -63,11 +63,12 @@ NO_TABLE = Annotated[dict[str, Any], WithJsonSchema({"not": {}})]
 
 @dataclass(frozen=True)
 class SimulatedTable:
-    """The mark of a simulated rig, with the `seed` of the virtual rig.
+    """The mark of a simulated rig.
 
-    A rig that another process serves has no [twin] in its file. Its table has the hash of the `model` (`old_model` is the hash
-    in its first version, which older journals have), the simulation `speed`, the key of the process that is its `server`, and
-    the simulation `control_port`, through which samples are mounted, with its `control_token`.
+    `seed` is the seed of the virtual rig's random numbers. `goniotwin serve --write-rig` writes the other keys, because the
+    file of a served rig has no [twin]. `model` is the hash of the virtual rig's model. `old_model` is the first version of that
+    hash, which older journals have. `speed` is the simulation speed. `server` is the key of the process that serves the rig.
+    The program mounts samples through the simulation `control_port`. `control_token` is the token that this port requires.
     """
 
     seed: int = 1
@@ -173,11 +174,12 @@ AnyTwin = TypeVar("AnyTwin", bound=TwinTable[Any, Any, Any], default=TwinTable)
 @with_config(TABLE)
 @dataclass(frozen=True, kw_only=True)
 class RigFile(Generic[AnyAxes, AnyMonochromator, AnyPhotodiodes, AnyMonitor, AnyUncertainty, AnyTwin]):
-    """All tables of the rig `name`. Those of devices are of any registered kind: see `rig_file_table`.
+    """All tables of the rig file.
 
-    The operator's part has the devices (`axes`, `monochromator`, `photodiodes`, `monitor`), the nominal `geometry`, the
-    `sample_unit`, the `etalon` and the `light`, the `uncertainty` of all this, and the `alignment` that reduces it. `simulated`
-    marks a simulated rig, and `twin` describes the virtual one.
+    `name` is the name of the rig, as journals and reports show it. The operator describes the devices (`axes`, `monochromator`,
+    `photodiodes`, `monitor`), the nominal `geometry`, the `sample_unit`, the `etalon`, the `light`, and the `uncertainty` of
+    them. An `alignment` reduces that uncertainty. `simulated` marks a simulated rig, and `twin` describes the virtual rig. The
+    `kind` of a device decides which keys its table has.
     """
 
     name: str

@@ -56,7 +56,7 @@ def _omitted(plan: NewPlan) -> Iterator[str]:
         points = getattr(plan.schedule.file, name).points
         yield (
             f"[{name}] points = {points} is omitted: in any order the arc would collide with the incoming beam on the way to "
-            "its poses; take betas on one side of the beam, or remove the table"
+            "its poses. Choose betas on one side of the beam, or remove the table"
         )
 
 
@@ -65,13 +65,13 @@ def _blocked(arcs: list[ArcDirections]) -> Iterator[str]:
         if each.specular_blocked and not each.transmitted:
             yield (
                 f"at sigma {each.sigma_deg:g} deg the mirror unit blocks the specular direction, "
-                f"{incidence_deg(each.sigma_deg):g} deg from the normal: the reading there is not a value of the sample"
+                f"{incidence_deg(each.sigma_deg):g} deg from the normal. There is no valid value in that direction"
             )
         elif each.specular_blocked:
             yield (
                 f"at sigma {each.sigma_deg:g} deg the mirror unit blocks the direction straight through, "
-                f"{incidence_deg(each.sigma_deg):g} deg from the normal, when the etalon is lit from that side: the reading "
-                "there has no scale; take a sigma at which it is free"
+                f"{incidence_deg(each.sigma_deg):g} deg from the normal, when the light meets the etalon from that side. The "
+                "reading there has no scale. Choose a sigma at which this direction is free"
             )
 
 
@@ -90,8 +90,8 @@ def _uncertified(schedule: ScheduleDescription, arcs: list[ArcDirections]) -> It
     ]
     if outside:
         yield (
-            f"the etalon's certificate {file.certificate.file} does not cover {' and '.join(outside)}, which get no value "
-            f"(uncertified): it is valid for {certificate}; take a certificate that covers all of them, or measure less"
+            f"the etalon's certificate {file.certificate.file} does not cover {' and '.join(outside)}. They get no value "
+            f"(flag uncertified). The certificate is valid for {certificate}. Use one that covers all of them, or measure less"
         )
 
 
@@ -108,16 +108,16 @@ def _no_signal(plan: NewPlan, arcs: list[ArcDirections]) -> Iterator[str]:
         if not _scatters(model.samples[standard], side, transmitted=False):
             light = _light_kinds(each for each in arcs if lit_side(etalon_sigma_deg(each.sigma_deg, each.arc)) == side)
             yield (
-                f"{standard} reflects nothing when its {side} is lit, so that {light} has no scale and no value: "
-                "take an etalon that scatters on both sides"
+                f"{standard} reflects nothing when its {side} is lit, so that {light} has no scale and no value. "
+                "Use an etalon that scatters on both sides"
             )
     for sample in file.samples:
         for side, transmitted in sorted({(lit_side(each.sigma_deg), each.transmitted) for each in arcs}):
             if not _scatters(model.samples[sample], side, transmitted=transmitted):
                 verb = "transmits" if transmitted else "reflects"
                 yield (
-                    f"{sample} {verb} nothing when its {side} is lit: the readings there are noise; "
-                    "check sample, side and light"
+                    f"{sample} {verb} nothing when its {side} is lit. The readings there are noise. "
+                    "Check the sample, side and light of the schedule"
                 )
 
 
@@ -140,20 +140,20 @@ def _unmonitored(plan: NewPlan, arcs: list[ArcDirections]) -> Iterator[str]:
     unlit = far_arc(table.sigma_deg)
     if unlit in observing:
         remedy = (
-            f"set [drift] sigma_deg = {opposite_sigma_deg(table.sigma_deg):g}, which lights them"
+            f"Set [drift] sigma_deg = {opposite_sigma_deg(table.sigma_deg):g}, which gives them light"
             if len(observing) == 1
-            else "measure transmitted light in a separate schedule, with drift checks from that side"
+            else "Measure transmitted light in a separate schedule, with drift checks from that side"
         )
         yield (
-            f"the drift checks at sigma {table.sigma_deg:g} deg do not light the side of the etalon that photodiodes "
-            f"{number_list(arc_channels(rig, unlit))} see: a fault of these while the etalon is measured is not detected; "
-            f"{remedy}"
+            f"at sigma {table.sigma_deg:g} deg, photodiodes {number_list(arc_channels(rig, unlit))} have no light in the drift "
+            "checks: the etalon is lit from its other side. The checks do not detect a fault of these photodiodes while the "
+            f"etalon is measured. {remedy}"
         )
     blocked = np.concatenate([_blocked_photodiodes(rig, table, arc) for arc in sorted(observing)])
     if blocked.size:
         yield (
-            f"at the pose of the drift checks the mirror unit blocks photodiodes {number_list(blocked)}: a fault of these is "
-            "not detected; take a [drift] pose at which they are free"
+            f"at the pose of the drift checks the mirror unit blocks photodiodes {number_list(blocked)}. The checks do not "
+            "detect a fault of these. Choose a [drift] pose at which they are free"
         )
 
 
@@ -169,7 +169,7 @@ def _no_overlap(plan: NewPlan, arcs: list[ArcDirections]) -> Iterator[str]:
     step = overlapping_step_deg(plan.rig.file, base)
     if step is not None:
         yield (
-            f"no direction is measured by two photodiodes, so that they cannot be compared; "
+            "no two photodiodes measure the same direction, so that the program cannot compare them. "
             f"[overlap] points = 1 adds poses at shift {base + step:g} deg where they overlap"
         )
 
@@ -178,8 +178,8 @@ def _old_dark_reading(plan: NewPlan) -> Iterator[str]:
     every = plan.schedule.file.dark_every_s
     if plan.oldest_dark_s > every:
         yield (
-            f"a dark reading gets {plan.oldest_dark_s:.0f} s old, more than dark_every_s = {every:g}: a single row takes "
-            "longer, with its move and its readings; allow older dark readings, or take fewer readings"
+            f"a dark reading gets {plan.oldest_dark_s:.0f} s old, more than dark_every_s = {every:g}, because a single row "
+            "takes longer. Increase dark_every_s, or take fewer readings"
         )
 
 
@@ -187,8 +187,8 @@ def _saturated_open_beam(plan: NewPlan) -> Iterator[str]:
     file, gains = plan.schedule.file, plan.rig.file.photodiodes.gains_v_per_a
     if file.open_beam and file.gains_v_per_a != "automatic" and min(file.gains_v_per_a) > min(gains):
         yield (
-            f"the open beam is the strongest signal, and gains_v_per_a does not have the rig's lowest gain, "
-            f"{min(gains):g} V/A: the open beam may be saturated"
+            "the open beam is the strongest signal, and may be saturated. "
+            f"Add the rig's lowest gain, {min(gains):g} V/A, to gains_v_per_a"
         )
 
 
@@ -202,13 +202,13 @@ def _second_order(plan: NewPlan) -> Iterator[str]:
     finding = f"above {SECOND_ORDER_NM:g} nm ({len(unblocked)} wavelengths) light of half the wavelength passes as well"
     if not wheel:
         yield (
-            f"{finding}: put order-sorting filters into the wheel, and describe each in [[monochromator.filters]] of the rig "
-            "file: position, name, from_nm, to_nm, cut_on_nm"
+            f"{finding}. Put order-sorting filters into the wheel, and describe each in [[monochromator.filters]] of the rig "
+            "file with position, name, from_nm, to_nm and cut_on_nm"
         )
         return
     names = dict.fromkeys(f"{glass.name!r}" for each in unblocked if (glass := wheel.at(each)) is not None)
     yield (
-        f"{finding}, because the rig file has no sufficient cut_on_nm for {' or '.join(names)}: in [[monochromator.filters]] "
+        f"{finding}, because the rig file has no sufficient cut_on_nm for {' or '.join(names)}. In [[monochromator.filters]] "
         f"give a cut_on_nm above {0.5 * max(unblocked):g}, or use another filter for these wavelengths"
     )
 
@@ -217,15 +217,15 @@ def _uncertain_duration(plan: NewPlan) -> Iterator[str]:
     """A warning if the duration depends on the sample or the lamp."""
     file = plan.schedule.file
     unknown = [
-        *(["how many gains a row needs"] if file.gains_v_per_a == "automatic" else []),
-        *(["how long each has to be averaged"] if file.averaging is not None else []),
-        *(["when the lamp is steady"] if file.warm_up is not None else []),
+        *(["the gains of each row"] if file.gains_v_per_a == "automatic" else []),
+        *(["the averaging time of each row"] if file.averaging is not None else []),
+        *(["the warm-up time of the lamp"] if file.warm_up is not None else []),
     ]
     if unknown:
         shortest, longest = duration_range(plan)
         yield (
-            f"the duration is an estimate, because {' and '.join(unknown)} is not known in advance: about "
-            f"{duration_text(shortest)} to {duration_text(longest)}; {_basis(plan)}a rehearsal is more accurate"
+            f"the duration is an estimate, about {duration_text(shortest)} to {duration_text(longest)}: it depends on "
+            f"{' and '.join(unknown)}. {_basis(plan)}A rehearsal is more accurate"
         )
 
 
@@ -234,7 +234,7 @@ def _basis(plan: NewPlan) -> str:
     if not plan.expected_reading_s:
         return ""
     twin = "the twin" if plan.rig.file.twin is not None else "the twin that the rig file describes, with assumed samples,"
-    return f"it is based on the expected signal of {twin} at up to {SAMPLED_ROWS} poses and wavelengths of each sample; "
+    return f"It uses the expected signal of {twin} at up to {SAMPLED_ROWS} poses and wavelengths of each sample. "
 
 
 def duration_range(plan: NewPlan) -> tuple[float, float]:

@@ -262,6 +262,6 @@ def unchecked_photodiodes(
 def unchecked_note(name: str, photodiodes: tuple[int, ...]) -> str:
     """The note on the unchecked photodiodes of one mounted sample."""
     return (
-        f"drift checks of {name} cannot detect a loss of a tenth of the light on photodiodes {number_list(photodiodes)}: "
-        "they get no light at the pose of the drift checks, or too little; a fault of theirs would not be noticed"
+        f"drift checks of {name} cannot detect a loss of a tenth of the light on photodiodes {number_list(photodiodes)}, "
+        "because these have too little light at the pose of the drift checks"
     )

@@ -40,10 +40,7 @@ def rehearsal_warnings(plan: Plan, statistics: RowStatistics) -> Iterator[str]:
     yield from field_warnings(plan)
     yield from _low_gains(plan, statistics)
     if statistics.saturated:
-        yield (
-            f"{statistics.saturated} values are saturated at every gain of the schedule: too much light for the photodiode; "
-            "add a lower gain to gains_v_per_a"
-        )
+        yield f"{statistics.saturated} values are saturated at every gain of the schedule. Add a lower gain to gains_v_per_a"
     for flag, rows in sorted(statistics.flagged.items()):
         yield f"{rows} rows have the flag {flag!r}"
 
@@ -65,8 +62,8 @@ def field_warnings(plan: Plan) -> Iterator[str]:
         if abs(change) >= NOTICEABLE:
             yield (
                 f"the field of view (photodiodes {instrument.field_deg:g} deg, beam {instrument.divergence_deg:.2g} deg, "
-                f"illuminated spot) changes the values of {name} by up to {100.0 * change:+.1f} % ({where}); the reduction "
-                "corrects it where neighbouring values are close enough; a smaller field or spot reduces what is left"
+                f"illuminated spot) changes the values of {name} by up to {100.0 * change:+.1f} % ({where}). The reduction "
+                "corrects this where neighbouring values are close enough. A smaller field or spot reduces the remaining error"
             )
 
 
@@ -112,15 +109,15 @@ def _narrow_lobes(plan: Plan) -> Iterator[str]:
         sample = model.samples[name]
         if any(lobe.kind == REGULAR for lobe in sample.lobes):
             yield (
-                f"{name} has a regular reflection, which a photodiode's field of {field_deg:g} deg does not resolve: a value "
-                "that contains it depends on the field, and is not the sample's"
+                f"{name} has a regular reflection, which a photodiode's field of {field_deg:g} deg does not resolve. Values "
+                "that contain it depend on the field, and are not properties of the sample"
             )
         sigmas = [sigma for sigma in grid_values(plan.schedule.file.sigma_deg) if _narrow(sample, sigma, field_deg, wavelength)]
         if sigmas:
             listed = ", ".join(f"{sigma:g}" for sigma in sigmas)
             yield (
-                f"{name} has a lobe narrower than the photodiodes' field of {field_deg:g} deg (at sigma {listed} deg): the "
-                "peak is averaged down, and the measured width is that of the field; use a narrower field, or do not trust "
+                f"{name} has a lobe narrower than the photodiodes' field of {field_deg:g} deg (at sigma {listed} deg). The "
+                "measured peak is too low, and the measured width is that of the field. Use a narrower field, or do not trust "
                 "the peak"
             )
 
@@ -144,8 +141,8 @@ def _low_gains(plan: Plan, statistics: RowStatistics) -> Iterator[str]:
         better = [gain for gain in known if gain > highest and steps[highest] * gain / highest < statistics.span]
         if better:
             yield (
-                f"signal of {name} too low at {highest:g} V/A: its brightest photodiode has {steps[highest]:.0f} of "
-                f"{statistics.span} steps of the converter; add {better[-1]:g} to gains_v_per_a"
+                f"signal of {name} too low at {highest:g} V/A: its brightest photodiode uses {steps[highest]:.0f} of "
+                f"{statistics.span} steps of the converter. Add {better[-1]:g} to gains_v_per_a"
             )
 
 
@@ -163,12 +160,12 @@ def value_warnings(file: ScheduleFile, tallies: Mapping[str, Tally], unchecked: 
         elif tally.under_range == tally.good:
             yield (
                 f"{name} has no value above its noise in any of {tally.good} directions: too little light reaches the "
-                "photodiodes; use a higher gain or more readings, or check sample, side and light"
+                "photodiodes. Use a higher gain or more readings, or check the sample, side and light of the schedule"
             )
     for name, photodiodes in unchecked.items():
         yield (
-            f"{unchecked_note(name, photodiodes)}; choose a [drift] pose at which more of them have light, or measure the "
-            "etalon once more as a last sample under another name: its values have to be those of the certificate"
+            f"{unchecked_note(name, photodiodes)}. Choose a [drift] pose at which more of them have light, or measure the "
+            "etalon once more as the last sample, under another name. Its values must be those of the certificate"
         )
 
 
@@ -177,8 +174,8 @@ def _reasons(tally: Tally) -> str:
     reasons = [f"{count} are {FLAGS[flag].reason}" for flag, count in counts.items()]
     left = tally.directions - sum(counts.values())
     if left:
-        reasons.append(f"{left} have none for another reason")
-    return f"{', '.join(reasons)}; {', '.join(FLAGS[flag].remedy for flag in counts) or 'look at the journal'}"
+        reasons.append(f"{left} have no value for another reason")
+    return f"{', '.join(reasons)}; {', '.join(FLAGS[flag].remedy for flag in counts) or 'see the events of the journal'}"
 
 
 def relevant_photodiodes(plan: Plan, row: Row) -> Flags:

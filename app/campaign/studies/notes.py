@@ -31,10 +31,12 @@ def reduction_notes(evaluation: Evaluation, tallies: Mapping[str, Tally]) -> lis
     scale = transmitted and reduction.signature.meets(reduction.etalon)
     notes += signature_notes(reflected=subtracted, scale=scale, u_signature=u_signature)
     if transmitted:
-        notes.append("transmitted light is scaled by the same photodiode's signal of the etalon, lit from its own side")
+        notes.append(
+            "transmitted light: the scale is the signal of the same photodiode with the etalon lit from the photodiode's side"
+        )
         notes += [
-            f"the etalon's scale for it at {nm:g} nm, sigma {sigma:g} deg is that of the open beam, {scale.ratio:.4f} of the "
-            f"certificate's (u {100.0 * scale.u:.2f} %), for photodiodes of the {'lower' if lower else 'upper'} arc"
+            f"transmitted light at {nm:g} nm, sigma {sigma:g} deg on the {'lower' if lower else 'upper'} arc: the scale is "
+            f"that of the open beam, {scale.ratio:.4f} of the certificate's scale (u {100.0 * scale.u:.2f} %)"
             for (nm, sigma, lower), scale in reduction.settings.absolute.items()
         ]
     for standard, table in (
@@ -47,7 +49,7 @@ def reduction_notes(evaluation: Evaluation, tallies: Mapping[str, Tally]) -> lis
     notes += [*_light_notes(evaluation, tallies), *light_lines(reduction, tallies)]
     if (error := tracing_error(reduction.rig.file)) is not None:
         notes.append(
-            f"the light was traced by the forward estimator; median relative error {error:.2g}, included in the uncertainty"
+            f"the forward estimator simulated the light. The uncertainty includes its median relative error, {error:.2g}"
         )
     return notes + [unchecked_note(name, photodiodes) for name, photodiodes in reduction.unchecked(tallies).items()]
 
@@ -60,24 +62,24 @@ def _light_notes(evaluation: Evaluation, tallies: Mapping[str, Tally]) -> Iterat
     if evaluation.not_aligned:
         yield evaluation.not_aligned
     if reduction.settings.certificate.calibrated is None and reduction.rig.file.uncertainty.u(ETALON_AGE):
-        yield f"the etalon's certificate has no date of calibration: {ASSUMED_YEARS:g} year is taken as its age"
+        yield f"the etalon's certificate has no date of calibration: the program assumes an age of {ASSUMED_YEARS:g} year"
     if evaluation.standards is not None and not evaluation.standards.alarms:
-        yield f"standards: {evaluation.standards.verdict}; values that have light and a certificate of both are scaled by both"
+        yield f"standards: {evaluation.standards.verdict}. Values with a signal and a certificate of both are scaled by both"
     if evaluation.repeats is not None:
         yield evaluation.repeats.sentence(reduction.rig.file.uncertainty.u(REPEATABILITY))
     if any(each.data.flags for each in reduction.journal.rows("warm-up")):
-        yield "the lamp's warm-up: not in u beyond its power (the lamp was not steady after longest_s of [warm_up])"
+        yield "warm-up: u includes only what the monitor sees, and the lamp was not steady after longest_s of [warm_up]"
     elif reduction.schedule.warm_up is None:
-        yield "the lamp's warm-up: not in u beyond its power (the schedule has no [warm_up])"
-    yield "slow_sigma: not in u (what a lobe changes with sigma at fixed angles about the specular direction)"
+        yield "warm-up: u includes only what the monitor sees, because the schedule has no [warm_up]"
+    yield "lobe shape: u does not include how a lobe changes with sigma at fixed angles about the specular direction"
     above = sum(tally.good - tally.under_range for tally in tallies.values())
     for name, missing, reason in (
         ("wavelength", sum(tally.without_slope for tally in tallies.values()), NO_SLOPE),
         ("bandwidth", sum(tally.without_band for tally in tallies.values()), NO_BAND),
     ):
         if missing:
-            of = "any value" if missing == above else f"{missing} of {above} values"
-            yield f"{name}: not in u of {of} ({reason})"
+            of = "all values" if missing == above else f"{missing} of {above} values"
+            yield f"{name}: u lacks this component for {of} ({reason})"
 
 
 def light_lines(reduction: Reduction, samples: Iterable[str]) -> list[str]:
@@ -89,7 +91,7 @@ def light_lines(reduction: Reduction, samples: Iterable[str]) -> list[str]:
     }
     lines = [light_words(reduction.rig.file.light, np.array(sorted(sigmas)))]
     if unstated := [name for name in samples if name not in reduction.schedule.diattenuation]:
-        lines.append(f"polarisation: not in u of {', '.join(unstated)} (the schedule states no diattenuation)")
+        lines.append(f"polarisation: u of {', '.join(unstated)} does not include it (the schedule states no diattenuation)")
     return lines
 
 
@@ -144,6 +146,6 @@ def signature_notes(*, reflected: bool, scale: bool, u_signature: float) -> list
     if not signals:
         return []
     return [
-        f"the instrument signature (measured without a sample) has been subtracted from {' and from '.join(signals)}; "
-        f"with a sample mounted it is taken as the same to {100.0 * u_signature:.2g} %"
+        f"the instrument signature (measured without a sample) is subtracted from {' and from '.join(signals)}. "
+        f"The reduction assumes that a mounted sample changes it with a standard uncertainty of {100.0 * u_signature:.2g} %"
     ]

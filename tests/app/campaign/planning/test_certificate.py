@@ -166,7 +166,7 @@ def test_check_warns_of_directions_and_wavelengths_outside_the_certificate(write
     (warning,) = certificate_warnings(BY_ZENITH)
     # Of 18 photodiodes at shifts of 0 and 1 deg, those beyond 60 deg: 61, and 65 to 86.
     assert "does not cover 11 of 36 directions" in warning
-    assert "it is valid for zenith_deg 0 to 60" in warning
+    assert "The certificate is valid for zenith_deg 0 to 60." in warning
     (warning,) = certificate_warnings(GRID, ("[550]", "[550, 610, 620]"))
     assert "does not cover 2 of 3 wavelengths and 3 of 36 directions" in warning  # 81, 85 and 86 deg
     assert not certificate_warnings("radiance_factor, relative_uncertainty\n0.98, 0.005\n")

@@ -59,7 +59,7 @@ def test_the_duration_of_light_dependent_readings_is_within_five_percent(text: s
     least, most = checked.duration_range_s
     assert checked.least_s <= plan.seconds
     assert least <= plan.seconds <= most
-    assert any("it is based on the expected signal of the twin at up to 40 poses" in each for each in checked.warnings)
+    assert any("It uses the expected signal of the twin at up to 40 poses" in each for each in checked.warnings)
 
 
 @pytest.mark.long

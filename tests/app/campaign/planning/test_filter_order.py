@@ -57,14 +57,14 @@ def _second_order_warnings(*changes: Change, wavelengths: str = "[500, 720, 760]
 def test_check_warns_of_the_second_order_where_no_filter_blocks_it() -> None:
     (alone,) = _second_order_warnings()
     assert alone.startswith(
-        "above 710 nm (2 wavelengths) light of half the wavelength passes as well: put order-sorting filters"
+        "above 710 nm (2 wavelengths) light of half the wavelength passes as well. Put order-sorting filters"
     )
     assert "[[monochromator.filters]]" in alone
     assert "cut_on_nm" in alone
     assert _second_order_warnings(RIG_FILTERS) == []
     (without,) = _second_order_warnings(RIG_FILTERS, ("cut_on_nm = 610\n", ""))
     assert "(2 wavelengths)" in without
-    assert "no sufficient cut_on_nm for 'RG610': in [[monochromator.filters]] give a cut_on_nm above 380," in without
+    assert "no sufficient cut_on_nm for 'RG610'. In [[monochromator.filters]] give a cut_on_nm above 380," in without
     (low,) = _second_order_warnings(RIG_FILTERS, ("cut_on_nm = 610\n", "cut_on_nm = 370\n"))
     assert "(1 wavelengths)" in low  # 720 nm: half of it is below 370
     assert _second_order_warnings(wavelengths="[500, 710]") == []

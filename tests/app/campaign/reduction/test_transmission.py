@@ -165,7 +165,7 @@ def test_a_note_names_the_light_from_which_the_signature_was_subtracted(
 ) -> None:
     text = HEAD.replace('"transmitted"', f'"{light}"') + "signature = true\nsigma_deg = [30]\nbeta_deg = [90]\n"
     notes = measure(planned(text), tmp_path / "a.journal").notes
-    assert [each.partition("subtracted ")[2].partition(";")[0] for each in notes if "subtracted" in each] == expected
+    assert [each.partition("subtracted ")[2].partition(".")[0] for each in notes if "subtracted" in each] == expected
 
 
 def test_the_open_beam_is_not_subtracted_as_a_signature(tmp_path: Path) -> None:
