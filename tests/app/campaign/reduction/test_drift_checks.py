@@ -123,7 +123,7 @@ def test_a_photodiode_that_the_checks_do_not_cover_is_named(tmp_path: Path) -> N
     assert 12 in dataset.unchecked["gaussian-5"]
     (note,) = [each for each in dataset.notes if each.startswith("drift checks of gaussian-5 cannot detect")]
     assert number_list(dataset.unchecked["gaussian-5"]) in note
-    assert "a fault of theirs would not be noticed" in note
+    assert "because these have too little light" in note
     assert "white-tile" not in dataset.unchecked
 
 
@@ -134,7 +134,7 @@ def test_a_rehearsal_warns_of_unchecked_photodiodes_with_a_remedy() -> None:
 
     (warning,) = warnings(TEXT)
     assert "drift checks of gaussian-5" in warning
-    assert "choose a [drift] pose at which more of them have light" in warning
+    assert "Choose a [drift] pose at which more of them have light" in warning
     assert warnings(TEXT.replace("gaussian-5", "opal")) == []
     assert warnings(TEXT.partition("[drift]")[0]) == []
 
@@ -146,8 +146,8 @@ def test_check_warns_of_photodiodes_without_light_at_the_pose_of_the_drift_check
     assert warnings(TEXT) == []
     through = 'light = "transmitted"\n' + TEXT.replace("gaussian-5", "opal")
     (dark,) = warnings(through)
-    assert "photodiodes 18 to 35 see" in dark
-    assert "set [drift] sigma_deg = 165, which lights them" in dark
+    assert "photodiodes 18 to 35 have no light" in dark
+    assert "Set [drift] sigma_deg = 165, which gives them light" in dark
     assert warnings(through.replace("sigma_deg = 15\n", "sigma_deg = 165\n")) == []
     (blocked,) = warnings(TEXT.replace("sigma_deg = 15\nbeta_deg = 180", "sigma_deg = 15\nbeta_deg = 0"))
     assert "the mirror unit blocks photodiodes 3" in blocked

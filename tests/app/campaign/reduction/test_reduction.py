@@ -270,7 +270,7 @@ def test_reflection_and_transmission_of_both_sides_are_right(write_rig: Writer, 
             here = points.where(points.good & (points.back == back) & (points.transmitted == transmitted))
             assert here.bsdf.size > 25
             assert np.abs((here.bsdf - share / np.pi) / here.u_bsdf).max() < 3.0, (back, transmitted)
-    assert any("transmitted light is scaled" in note for note in dataset.notes)
+    assert any("transmitted light: the scale is" in note for note in dataset.notes)
     export(dataset, "glass", tmp_path / "a.csv", "csv")
     text = (tmp_path / "a.csv").read_text()
     assert "back" in text

@@ -36,7 +36,7 @@ def test_the_signature_is_subtracted_where_it_was_measured_with_the_uncertainty_
     added = np.sqrt(uncertain.u_bsdf**2 - certain.u_bsdf**2) / certain.bsdf
     # What it is with a sample mounted is one error of sample and etalon, whose share of the signal is as 0.03 to 0.99 of it.
     assert added == pytest.approx(np.sqrt(0.3**2 - 0.01**2) * signature * (1.0 - 0.03 / 0.99), rel=0.005)
-    assert any("the same to 1 %" in note for note in dataset.notes)
+    assert any("a standard uncertainty of 1 %" in note for note in dataset.notes)
 
 
 def test_a_signature_that_was_not_measured_stays_in_the_value(
