@@ -204,12 +204,12 @@ def _scale(session: CheckSession, controller: MotionController, subject: str) ->
     target = _target(axis, start_deg, LONGER_MOVE_DEG)
     first = _read_scale(session, subject)
     if first is None:
-        return not_checked("nobody has read its scale; run it in a terminal without --yes")
+        return not_checked("its scale was not read; run it in a terminal without --yes")
     session.move(subject, target)
     second = _read_scale(session, subject)
     session.move(subject, start_deg)
     if second is None:
-        return not_checked("nobody has read its scale")
+        return not_checked("its scale was not read")
     turned = second - first
     expected = f"the scale shows {start_deg:.2f}, then {target:.2f} deg (within {SCALE_TOLERANCE_DEG:g} deg)"
     came = f"{first:g}, then {second:g} deg"

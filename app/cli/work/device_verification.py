@@ -18,7 +18,7 @@ from goniotwin.drivers.checks import CheckOutcome, CheckSession, CheckVerdict, D
 from goniotwin.drivers.checks.check import not_checked
 from goniotwin.protocols.clock import calendar_stamp
 
-NOT_CONFIRMED = "something moves, and nobody has said yes; run it in a terminal, or give --yes"
+NOT_CONFIRMED = "it moves a device and was not confirmed; run it in a terminal, or give --yes"
 YES = ("y", "yes")
 
 
@@ -186,7 +186,7 @@ def _closed_shutter(session: CheckSession) -> Iterator[None]:
 
 
 def _mount(description: RigDescription, opened: OpenRig, *, yes: bool) -> Callable[[str], bool]:
-    """Has a sample mounted: by the program in a virtual rig, else by a person; False where nobody can."""
+    """Has a sample mounted: by the program in a virtual rig, else by a person; False without either."""
 
     def mount(sample: str) -> bool:
         if description.simulated:

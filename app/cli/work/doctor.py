@@ -42,7 +42,9 @@ QT_LIBRARIES = (
 )
 MONITOR = ("1313", "8078")
 """USB vendor and product of the monitor's power meter."""
-UDEV_RULE = 'SUBSYSTEM=="usb", ATTR{idVendor}=="1313", ATTR{idProduct}=="8078", MODE="0660", TAG+="uaccess"'
+UDEV_RULE = (
+    f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{MONITOR[0]}", ATTR{{idProduct}}=="{MONITOR[1]}", MODE="0660", TAG+="uaccess"'
+)
 UDEV_REMEDY = f"write {UDEV_RULE} to /etc/udev/rules.d/70-goniotwin.rules, then plug the instrument in again"
 USB_DEVICES = Path("/sys/bus/usb/devices")
 LEAST_FREE, LITTLE_FREE = 100e6, 2e9
