@@ -10,6 +10,7 @@ Chi-square has the covariance of all values of a light: a common error of the sc
 """
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -447,14 +448,22 @@ def _direction_means(theta: Floats, phi: Floats, *values: Floats) -> list[Floats
 
 
 def _direct(data: SampleData, matching: list[tuple[LightSetting, float]], theta: Floats, phi: Floats) -> Ints:
-    """The trusted value (n,) that a dataset has in each direction, the first of several; -1 where it has none."""
+    """The trusted value (n,) that a dataset has in each direction; -1 where it has none.
+
+    A direction that both have several times is compared value by value, in their order.
+    """
     if len(matching) > 1:
         return np.full(theta.size, -1, dtype=np.int64)
     index = matching[0][0].index[data.good[matching[0][0].index]]
-    places: dict[Any, int] = {}
+    places: dict[tuple[float, ...], list[int]] = {}
     for key, k in zip(_keys(data.theta_deg[index], data.phi_deg[index]), index.tolist(), strict=True):
-        places.setdefault(key, k)
-    return np.array([places.get(key, -1) for key in _keys(theta, phi)], dtype=np.int64)
+        places.setdefault(key, []).append(k)
+    found, times = [], Counter[tuple[float, ...]]()
+    for key in _keys(theta, phi):
+        there = places.get(key, [-1])
+        found.append(there[min(times[key], len(there) - 1)])
+        times[key] += 1
+    return np.array(found, dtype=np.int64)
 
 
 def _keys(theta: Floats, phi: Floats) -> Iterator[tuple[float, ...]]:

@@ -131,14 +131,14 @@ class Converted:
         if (found := self.largest) is None:
             return None
         others = [each for each in FILLS if each not in (self.fill, "refuse")]
-        text = f"not measured: {100.0 * found.share:.3g} % of the light at sigma {found.sigma_deg:g}"
+        text = f"{100.0 * found.share:.3g} % of the scattered light at sigma {found.sigma_deg:g} has no measured value"
         if len(self.shares) > 1:
             text += f", the most of {len(self.shares)} incidences"
-        text += f"; filled by {self.fill} (--fill {' or '.join(others)} are other ways)"
+        text += f"; the gaps are filled by {self.fill} (other ways: --fill {' or '.join(others)})"
         if self.widest_gap_deg is not None:
             text += (
-                f"; between measured directions more than {self.widest_gap_deg:g} deg apart nothing counts as measured: a "
-                f"finer grid of the schedule measures more, and lists of points ({_of_points()}) need no table"
+                f". The table has no value between measured directions more than {self.widest_gap_deg:g} deg apart: measure a "
+                f"finer grid, or write a list of points ({_of_points()}), which needs no table"
             )
         return text
 

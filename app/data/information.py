@@ -314,7 +314,7 @@ def _part_lines(part: PartInformation) -> list[str]:
         lines.append(f"  flags: {', '.join(f'{name} {count}' for name, count in part.flags.items())}")
     if isinstance(part, GridInformation) and part.not_measured:
         most = max(part.not_measured, key=lambda each: each.share)
-        lines.append(f"  not measured: at most {100.0 * most.share:.3g} % of the light, at sigma {most.sigma_deg:g}")
+        lines.append(f"  not measured: at most {100.0 * most.share:.3g} % of the scattered light, at sigma {most.sigma_deg:g}")
     return lines
 
 

@@ -84,7 +84,7 @@ class CloseQuestion(QObject):
     def _ask_acknowledgement(self, order: "SafetyOrder") -> None:
         choices = [
             Choice(KEEP_OPEN, "The window stays open, with the order at its top.", default=True),
-            Choice(ACKNOWLEDGE, "It is done, or seen to. The journal records it. Then the window closes.", stops=True),
+            Choice(ACKNOWLEDGE, "It is done, or somebody is doing it. The window then closes.", stops=True),
         ]
         self._order = order
         self._ask(order.order, f"The window closes when this order is acknowledged: {order.reason}", choices)

@@ -86,7 +86,7 @@ class Navigation(QFrame):
         shown = mark[:1] if self._compact and len(mark) > SHORT_MARK else mark
         parts = [f" {number + 1}", *([] if self._compact else [title]), *([shown] if shown else [])]
         self.buttons[number].setText("  ".join(parts))
-        self.buttons[number].setAccessibleName(f"Screen {title}" + (f", to look at: {mark}" if mark else ""))
+        self.buttons[number].setAccessibleName(f"Screen {title}" + (f", to check: {mark}" if mark else ""))
 
     def load_icons(self) -> None:
         """Show the icons from now on."""

@@ -62,7 +62,7 @@ def start_station(
             raise UserError(_last_line(log) or f"{rig}: its station has ended with status {process.returncode}; see {log}")
     process.terminate()
     _reap(process)
-    raise UserError(f"{rig}: its station does not answer within {within_s:g} s and has been ended; see {log}")
+    raise UserError(f"{rig}: its station did not respond within {within_s:g} s and was ended; see {log}")
 
 
 def _start(command: list[str], log: Path) -> "subprocess.Popen[bytes]":

@@ -56,8 +56,8 @@ def _spread(name: str, spread: SpreadSummary) -> Iterator[tuple[bool, str]]:
     yield (
         False,
         (
-            f"  {spread.to_a_tenth} of {spread.above_zero} directions better than 10 % ({spread.directions} measured, "
-            f"{spread.trusted} trusted){_distance(spread)}"
+            f"  {spread.directions} directions measured, {spread.trusted} trusted, {spread.above_zero} above 0, "
+            f"{spread.to_a_tenth} with u below 10 %{_distance(spread)}"
         ),
     )
 

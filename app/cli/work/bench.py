@@ -22,7 +22,7 @@ from goniotwin.app.station.station import Station
 from goniotwin.drivers.errors import FaultText
 
 WAIT_S = 0.2
-SILENT = "its station does not answer; wait, or end its process (the main switch stops the motors)"
+SILENT = "its station is not responding; wait, or end its process (the main switch stops the motors)"
 
 
 def move_axis(rig: Path, axis: str, angle: float) -> None:

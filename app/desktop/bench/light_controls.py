@@ -129,7 +129,7 @@ class LightControls(QGroupBox):
         self._shutter_open = shutter_open
         self._shutter_now.setText("?" if shutter_open is None else "open" if shutter_open else "closed")
         self._shutter_now.setAccessibleName(f"Shutter {UNKNOWN if shutter_open is None else self._shutter_now.text()}")
-        self._shutter_now.setToolTip("unknown until the monochromator answers" if shutter_open is None else "")
+        self._shutter_now.setToolTip("unknown: the monochromator is not responding" if shutter_open is None else "")
         self.shutter.setText("Close" if shutter_open else "Open")
         self.shutter.setAccessibleName("Close the shutter" if shutter_open else "Open the shutter")
         self.gain.setCurrentIndex(-1 if gain_v_per_a is None else self.gain.findData(gain_v_per_a))

@@ -8,7 +8,8 @@ from goniotwin.app.desktop.bench.number_field import number_of
 from goniotwin.app.desktop.rig.panels import NO_VALUE
 
 DECIMALS = 3
-NO_ANGLE = "read the scale of the axis, and give its angle in degrees"
+FROM_SCALE = "from its scale"
+NO_ANGLE = "read the angle from the scale of the axis, and enter it in degrees"
 
 
 class AngleField(QLineEdit):
@@ -30,14 +31,14 @@ class PositionEntry(QWidget):
         self._encoder_deg: float | None = None
         self._counter, self._encoder, self._apart = QLabel(), QLabel(), QLabel()
         self.field = AngleField()
-        self.field.setPlaceholderText("read the scale")
+        self.field.setPlaceholderText(FROM_SCALE)
         self.field.setAccessibleName(f"Angle at which {axis} is, degrees")
-        self.take = QPushButton("Take the &encoder's")
+        self.take = QPushButton("Use the &encoder")
         self.take.setAutoDefault(False)
-        self.take.setAccessibleName(f"Put the value of the encoder of {axis} into the field")
+        self.take.setAccessibleName(f"Enter the value of the encoder of {axis}")
         self.take.clicked.connect(self._take_encoder)
-        self.field.setFixedWidth(self.field.fontMetrics().horizontalAdvance("read the scale") + 30)
-        label = QLabel("Axis is &at, deg")
+        self.field.setFixedWidth(self.field.fontMetrics().horizontalAdvance(FROM_SCALE) + 30)
+        label = QLabel("&Angle, deg")
         label.setBuddy(self.field)
         grid = QGridLayout(self)
         grid.setContentsMargins(0, 0, 0, 0)
@@ -76,7 +77,7 @@ class PositionEntry(QWidget):
         for label, angle in ((self._counter, counter_deg), (self._encoder, encoder_deg), (self._apart, apart)):
             label.setText(NO_VALUE if angle is None else f"{round(angle, DECIMALS) + 0.0:.{DECIMALS}f}°".replace("-", "−"))
         self.take.setEnabled(encoder_deg is not None)
-        self.take.setToolTip("" if known else "no value of an encoder is known")
+        self.take.setToolTip("" if known else "the encoder has no value")
 
     @Slot()
     def _take_encoder(self) -> None:

@@ -316,12 +316,10 @@ class BenchScreen(Screen):
         if self.question is not None:
             self.question.dismiss()
         name = f"{GREEK[axis]} ({axis})"
-        text = (
-            f"{name} counts as the angle that you give from now on. Nothing moves. All data depend on it: read the scale first."
-        )
+        text = f"Read the angle of {name} from its scale, and enter it. Nothing moves. All later data depend on this angle."
         choices = [
-            Choice(SET_POSITION, "The axis is at the angle in the field"),
-            Choice(CANCEL, "Nothing is changed", default=True),
+            Choice(SET_POSITION, "The axis is at the angle entered"),
+            Choice(CANCEL, "The position stays as it is", default=True),
         ]
         entry = PositionEntry(axis)
         box = QuestionBox(self, f"Set the position of {name}", text, choices, entry)

@@ -251,7 +251,7 @@ class OrderRow(QFrame):
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         button = QPushButton("Acknowledge")
         button.setAccessibleName(f"Acknowledge: {order.text}")
-        button.setToolTip("It is done, or seen to. The journal records it.")
+        button.setToolTip("Press this when it is done, or somebody is doing it. The journal records it.")
         button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         button.clicked.connect(self._acknowledge)
         texts = QVBoxLayout()

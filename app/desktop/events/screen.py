@@ -9,7 +9,7 @@ from goniotwin.app.desktop.theme import Colours
 
 
 class EventsScreen(Screen):
-    """The events, the latest first. `serious_changed` has the number of those to look at."""
+    """The events, the latest first. `serious_changed` has the number of the marked ones."""
 
     title = "Events"
     icon = "format-list-bulleted"
@@ -22,8 +22,8 @@ class EventsScreen(Screen):
         self._shown = SeriousOnly(self)
         self._shown.setSourceModel(self.model)
         self._heading = QLabel()
-        self._only = QCheckBox("O&nly those to look at (✗)")
-        self._only.setAccessibleName("Show only events to look at")
+        self._only = QCheckBox("O&nly those marked ✗")
+        self._only.setAccessibleName("Show only the marked events")
         self._only.toggled.connect(self._show_only)
         self._table = EventTable(self._shown, "Events")
         self._table.setObjectName("events")
@@ -57,6 +57,6 @@ class EventsScreen(Screen):
 
     def _show_heading(self) -> None:
         serious = self.model.serious
-        look = f" · {serious} to look at (✗)" if serious else ""
+        look = f" · {serious} marked ✗" if serious else ""
         self._heading.setText(f"<b>Events</b>, the latest first{look}")
         self.serious_changed.emit(serious)

@@ -360,7 +360,7 @@ class Connection:
                 self._send(NotAttached(NOT_OPENED))
                 return
             silent = isinstance(error, TimeoutError)
-            self._send(NotAttached(f"{rig}: its station does not answer; wait, or end its process" if silent else str(error)))
+            self._send(NotAttached(f"{rig}: its station is not responding; wait, or end its process" if silent else str(error)))
             self._send(PlanRefused(NO_RIG))
             return
         self._begin_session(session, client, found)

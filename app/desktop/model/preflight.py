@@ -30,7 +30,7 @@ class Outcome(StrEnum):
     """State of a check. Unknown: nothing has been measured yet that would show it."""
 
     GOOD = "good"
-    LOOK = "look at it"
+    LOOK = "check it"
     BAD = "not ready"
     UNKNOWN = "unknown"
 
@@ -233,7 +233,7 @@ def _certificate(facts: Facts) -> Check:
 def _disk(facts: Facts) -> Check:
     name = "Disk"
     if facts.free_bytes is None:
-        found = f"{facts.folder}: cannot be looked at" if facts.folder else "no folder for data files"
+        found = f"{facts.folder}: cannot be read" if facts.folder else "no folder for data files"
         return Check(name, Outcome.BAD, found, "choose another folder for the data files")
     found = f"{_size(facts.free_bytes)} free in {facts.folder}"
     needed = facts.needed_bytes

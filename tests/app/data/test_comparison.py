@@ -43,6 +43,17 @@ def test_formula_5_is_that_of_the_paper() -> None:
     assert str(result).splitlines()[1] == "sigma 0 deg: 70.7 % over 2 directions"
 
 
+def test_a_direction_that_both_have_twice_is_compared_value_by_value() -> None:
+    """A dataset is itself, also where one direction was measured several times; a further value meets the last one there."""
+    one = rings(lambertian(math.pi), 0.0, np.array([10.0, 20.0, 10.0]), np.array([180.0]), u=0.01)
+    twice = dataset_of(scaled(one, np.array([1.0, 3.0, 2.0])))
+    (found,) = goniotwin.compare(twice, twice).lights
+    assert (found.relative_rms_percent, found.count, found.largest_z) == (0.0, 2, 0.0)
+    thrice = rings(lambertian(math.pi), 0.0, np.array([10.0, 10.0, 10.0]), np.array([180.0]), u=0.01)
+    (found,) = goniotwin.compare(dataset_of(thrice), twice).lights
+    np.testing.assert_allclose(found.second, [1.0, 2.0, 2.0])
+
+
 def test_a_journal_against_its_theory_is_the_comparison_of_the_virtual_rig(dataset: goniotwin.Dataset) -> None:
     truth = goniotwin.theory(dataset)
     result = goniotwin.compare(dataset, truth, theta_deg=10.0, in_plane=True, least_share=0.0)

@@ -217,7 +217,7 @@ def test_a_position_is_set_only_after_a_question(desk: Desk) -> None:
         assert field.text() == ""
         if choice == SET_POSITION:
             question.buttons[SET_POSITION].click()
-            assert "give its angle" in question.problem
+            assert "read the angle from the scale" in question.problem
             desk.qtbot.keyClicks(field, "12,5")
             desk.qtbot.keyClick(field, Qt.Key.Key_Return)  # neither that answer nor the default
             assert question.isVisible()

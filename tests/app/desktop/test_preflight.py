@@ -84,7 +84,7 @@ def test_nothing_is_known_and_nothing_is_called_good() -> None:
         ("Disk", {"free_bytes": 150_000_000}, "bad", "150 MB free", "room"),
         ("Disk", {"free_bytes": 5_000_000_000, "needed_bytes": 3_000_000_000}, "bad", "takes about 3 GB", "room"),
         ("Disk", {"free_bytes": 1_500_000_000}, "look", "1.5 GB", "soon"),
-        ("Disk", {"free_bytes": None}, "bad", "/data: cannot be looked at", "another folder"),
+        ("Disk", {"free_bytes": None}, "bad", "/data: cannot be read", "another folder"),
     ],
 )
 def test_a_check_states_what_is_found_and_what_to_do(

@@ -135,7 +135,7 @@ def test_a_station_of_another_rig_file_is_not_used(
     with monkeypatch.context() as patch:
         patch.setattr(StationClient, "do", raise_timeout)
         silent = invoke("move", "--rig", link, "beta", "12")
-    assert (silent.returncode, "station does not answer" in silent.stderr) == (1, True)
+    assert (silent.returncode, "station is not responding" in silent.stderr) == (1, True)
     rig.write_text(rig.read_text(encoding="utf-8") + "\n", encoding="utf-8")
     other = invoke("move", "--rig", rig, "beta", "12")
     assert (other.returncode, "another rig file" in other.stderr) == (2, True)
@@ -223,7 +223,7 @@ def test_a_station_that_does_not_come_up_is_ended(write_rig: Writer, monkeypatch
         return processes[-1]
 
     monkeypatch.setattr(starting, "_start", start)
-    with pytest.raises(UserError, match="has been ended"):
+    with pytest.raises(UserError, match="was ended"):
         starting.start_station(write_rig(), 1.0, "window", within_s=0.1)
     (process,) = processes
     assert process.wait(20.0) != 0
@@ -257,7 +257,7 @@ def test_a_station_that_hangs_is_named(held: Held, monkeypatch: pytest.MonkeyPat
     with socket.create_server(("127.0.0.1", 0)) as silent:
         path, rig = held(silent.getsockname()[1])
         hung = invoke("here", "--rig", rig, "sigma", "0")
-        assert (hung.returncode, "its station does not answer" in hung.stderr) == (2, True)
+        assert (hung.returncode, "its station is not responding" in hung.stderr) == (2, True)
         assert path.exists()
 
 
