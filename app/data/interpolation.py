@@ -3,8 +3,8 @@
 In one light the values are on rings of one polar angle (an arc measures these), or on a grid about the specular direction
 (tables have this): which one follows from the directions alone, whatever file has carried them, by the share of the nodes above
 the horizon that have a value. Between them is the monotone cubic of `specular_grid`, the one of all tables. Where finer rings
-or half planes were measured near a lobe alone, a half plane that has no value at a ring gets one from its own neighbours, else
-from those of the ring. Between two incidences at fixed theta and phi, and between two wavelengths, the interpolation is linear.
+or half planes were measured near a lobe alone, a node without a value gets one from its neighbours on the half plane and on the
+ring. Between two incidences at fixed theta and phi, and between two wavelengths, the interpolation is linear.
 
 The uncertainty is that of the values, what they share included, and an estimate of the interpolation's own error: the monotone
 cubic is between the given values, as a linear interpolation is, and the difference of the two, over the polar angle and over
@@ -157,18 +157,13 @@ def own_and_shared(u: Floats, u_shared: Floats) -> tuple[Floats, Floats]:
 
 
 def _completed(grid: PolarGrid) -> PolarGrid:
-    """The grid with values between its own where a ring or a half plane has none; closed over 360 deg."""
-    values, u, shared = (each.copy() for each in (grid.values, grid.u, grid.shared))
-    for k in np.flatnonzero(np.isnan(values).any(axis=0)).tolist():
-        found = _along(grid.polar_deg, values[:, k], u[:, k], shared[:, k])
-        values[:, k], u[:, k], shared[:, k] = found
-    turns = (0.0,) if grid.mirrored else (-TURN_DEG, 0.0, TURN_DEG)
-    around = np.concatenate([grid.azimuth_deg + turn for turn in turns])
-    here = slice(0, grid.azimuth_deg.size) if grid.mirrored else slice(grid.azimuth_deg.size, 2 * grid.azimuth_deg.size)
-    for k in np.flatnonzero(np.isnan(values).any(axis=1)).tolist():
-        row, u_row, shared_row = (np.tile(each[k], len(turns)) for each in (values, u, shared))
-        sine = float(np.sin(np.radians(grid.polar_deg[k])))
-        values[k], u[k], shared[k] = (each[here] for each in _along(around, row, u_row, shared_row, scale=sine))
+    """The grid with values between its own where a ring or a half plane has none; closed over 360 deg.
+
+    A node between others of its half plane and others of its ring has the mean of the two interpolated values, the closer
+    neighbours weigh more; the difference of the two is the half-width of a rectangular distribution.
+    """
+    tables = _joined_fills(_along_half_planes(grid), _along_rings(grid))
+    values, u, shared, _ = _along_rings(replace(grid, values=tables[0], u=tables[1], shared=tables[2]))
     azimuth = grid.azimuth_deg
     if not grid.mirrored and azimuth.size > 1:
         # Two half planes more on each side, so that the interpolation goes on over 360 deg.
@@ -177,15 +172,62 @@ def _completed(grid: PolarGrid) -> PolarGrid:
     return replace(grid, azimuth_deg=azimuth, values=values, u=u, shared=shared)
 
 
-def _along(axis: Floats, values: Floats, u: Floats, shared: Floats, scale: float = 1.0) -> tuple[Floats, Floats, Floats]:
+Fill = tuple[Floats, Floats, Floats, Floats]
+"""Values of a grid with those that an interpolation has filled, their own and their shared u, and how far apart, in deg, the
+neighbours of a filled one are: 0 of a given value."""
+
+
+def _along_half_planes(grid: PolarGrid) -> Fill:
+    """The grid with its missing values interpolated over the polar angle."""
+    values, u, shared, apart = _copied(grid)
+    for k in np.flatnonzero(np.isnan(values).any(axis=0)).tolist():
+        found = _along(grid.polar_deg, values[:, k], u[:, k], shared[:, k])
+        values[:, k], u[:, k], shared[:, k], apart[:, k] = found
+    return values, u, shared, apart
+
+
+def _along_rings(grid: PolarGrid) -> Fill:
+    """The grid with its missing values interpolated over the azimuth, round the whole turn."""
+    values, u, shared, apart = _copied(grid)
+    turns = (0.0,) if grid.mirrored else (-TURN_DEG, 0.0, TURN_DEG)
+    around = np.concatenate([grid.azimuth_deg + turn for turn in turns])
+    here = slice(0, grid.azimuth_deg.size) if grid.mirrored else slice(grid.azimuth_deg.size, 2 * grid.azimuth_deg.size)
+    for k in np.flatnonzero(np.isnan(values).any(axis=1)).tolist():
+        row, u_row, shared_row = (np.tile(each[k], len(turns)) for each in (values, u, shared))
+        sine = float(np.sin(np.radians(grid.polar_deg[k])))
+        values[k], u[k], shared[k], apart[k] = (each[here] for each in _along(around, row, u_row, shared_row, scale=sine))
+    return values, u, shared, apart
+
+
+def _copied(grid: PolarGrid) -> Fill:
+    return grid.values.copy(), grid.u.copy(), grid.shared.copy(), np.zeros(grid.values.shape)
+
+
+def _joined_fills(one: Fill, other: Fill) -> tuple[Floats, Floats, Floats]:
+    """Values, own and shared u with the mean of two interpolated values, weighted by the inverse squares of the distances."""
+    values, u, shared = (each.copy() for each in one[:3])
+    only = np.isnan(values)
+    for table, found in zip((values, u, shared), other, strict=False):
+        table[only] = found[only]
+    both = np.isfinite(one[0]) & np.isfinite(other[0]) & (one[3] > 0.0)
+    (a, _, s_a, near_a), (b, _, s_b, near_b) = ([each[both] for each in fill] for fill in (one, other))
+    weight = near_b**2 / (near_a**2 + near_b**2)
+    values[both] = weight * a + (1.0 - weight) * b
+    error = np.maximum(weight, 1.0 - weight) * np.abs(a - b) / RECTANGULAR
+    shared[both] = np.hypot(weight * s_a + (1.0 - weight) * s_b, error)
+    return values, u, shared
+
+
+def _along(axis: Floats, values: Floats, u: Floats, shared: Floats, scale: float = 1.0) -> Fill:
     """Values (n,) on one axis with those that are missing, NaN, between others no further apart than `WIDEST_DEG` / `scale`.
 
-    Second and third: their uncertainties, own and shared. What is interpolated shares all of its uncertainty.
+    Angles on the axis are `scale` times as long on the sphere. What is interpolated shares all of its uncertainty.
     """
+    apart = np.zeros(values.size)
     missing = np.isnan(values)
     known = np.flatnonzero(~missing)
     if known.size < 2 or not missing.any():
-        return values, u, shared
+        return values, u, shared, apart
     line = PolarGrid(axis[known], np.zeros(1), values[known, None], u[known, None], shared[known, None], mirrored=False)
     at, azimuth = axis[missing], np.zeros(int(missing.sum()))
     if axis[known[0]] == 0.0:
@@ -194,11 +236,11 @@ def _along(axis: Floats, values: Floats, u: Floats, shared: Floats, scale: float
         at = at + 1.0
     found, u_found = interpolate(line, at, azimuth)
     error = np.abs(found - _linear(line, at, azimuth)) / RECTANGULAR
-    apart = scale * _step(line.polar_deg, at)
-    found = np.where(apart > WIDEST_DEG + TOLERANCE_DEG, np.nan, found)
+    apart[missing] = scale * _step(line.polar_deg, at)
+    found = np.where(apart[missing] > WIDEST_DEG + TOLERANCE_DEG, np.nan, found)
     values, u, shared = values.copy(), u.copy(), shared.copy()
     values[missing], u[missing], shared[missing] = found, 0.0, np.hypot(u_found, error)
-    return values, u, shared
+    return values, u, shared, apart
 
 
 def _step(axis: Floats, at: Floats) -> Floats:

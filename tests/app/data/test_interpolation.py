@@ -115,6 +115,19 @@ def test_finer_directions_near_a_lobe_leave_no_gaps_elsewhere() -> None:
         assert value == pytest.approx(expected, abs=0.01), (polar, azimuth)
 
 
+def test_a_lobe_that_some_half_planes_cross_far_from_its_peak_is_within_u() -> None:
+    """A table of a coarse measurement: two half planes in full, others from the flank on; the peak is one node of all."""
+    lobe = gaussian(11.0)
+    whole = table(lobe, np.array([0.0, 30.0, 60.0]))
+    first = np.where(np.isin(whole.phi_deg, [0.0, 180.0]), 0.0, np.where(whole.phi_deg <= 30.0, 17.0, np.inf))
+    known = (whole.theta_deg >= first[:, None]) | (whole.theta_deg == 0.0)
+    d = dataset(replace(whole, u=1e-3 * whole.values, known=np.broadcast_to(known[None, None, None], whole.values.shape)))
+    rng = np.random.default_rng(4)
+    theta, phi = rng.uniform(0.0, 17.0, 500), rng.uniform(0.0, 30.0, 500)
+    value, u = d.at(sigma_deg=30, theta_deg=theta, phi_deg=phi)
+    assert np.mean(np.abs(value - lobe(theta, phi)) < 2.0 * u) > 0.9
+
+
 @given(st.floats(0.0, 80.0), st.floats(-400.0, 800.0))
 def test_an_anisotropic_sample_is_not_folded_and_goes_round(polar_deg: float, azimuth_deg: float) -> None:
     def one_sided(theta: Any, phi: Any) -> Any:
