@@ -85,11 +85,15 @@ def test_a_port_that_this_user_may_not_open_is_a_problem_with_its_group(
 ) -> None:
     port = tmp_path / "port"
     port.touch()
+    monkeypatch.setattr(Path, "group", lambda _: "lab")
     rig = write_rig(("twin://virtual/mono", str(port)))
     assert [each.level for each in examine(rig) if str(port) in each.text] == ["ok"]
     monkeypatch.setattr(os, "access", lambda path, _: Path(path) != port)
     (found,) = [each for each in examine(rig) if str(port) in each.text]
-    assert (found.level, found.remedy) == ("problem", f"sudo usermod -aG {port.group()} $USER, then log in again")
+    assert (found.level, found.remedy) == ("problem", "sudo usermod -aG lab $USER, then log in again")
+    monkeypatch.setattr(Path, "group", lambda _: "root")
+    (found,) = [each for each in examine(rig) if str(port) in each.text]
+    assert (found.level, "usermod" in found.remedy, "dialout" in found.remedy) == ("problem", False, True)
     port.unlink()
     (found,) = [each for each in examine(rig) if str(port) in each.text]
     assert (found.level, "does not exist" in found.text) == ("problem", True)

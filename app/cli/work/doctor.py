@@ -40,6 +40,8 @@ REINSTALL = "install goniotwin again"
 QT_LIBRARIES = (
     "on Debian and Ubuntu: sudo apt-get install -y libegl1 libgl1 libxkbcommon0 libdbus-1-3 libfontconfig1 libglib2.0-0"
 )
+ADMINISTRATORS = ("root", "wheel")
+"""Groups with rights over the whole computer."""
 MONITOR = ("1313", "8078")
 """USB vendor and product of the monitor's power meter."""
 UDEV_RULE = (
@@ -169,7 +171,10 @@ def port_finding(topic: str, port: str) -> Finding:
     if not path.exists():
         return Finding(topic, "problem", f"{port}: does not exist", "connect the device, or correct the rig file")
     if not os.access(path, os.R_OK | os.W_OK):
-        remedy = f"sudo usermod -aG {group_of(path)} $USER, then log in again"
+        group = group_of(path)
+        remedy = f"sudo usermod -aG {group} $USER, then log in again"
+        if group in ADMINISTRATORS:  # nobody needs their rights to measure
+            remedy = f"the port belongs to {group}: give it to the group dialout by a rule of udev, and join that group"
         return Finding(topic, "problem", f"{port}: this user may not open it", remedy)
     return Finding(topic, "ok", f"{port}: this user may open it")
 
@@ -220,9 +225,8 @@ def folder_findings(topic: str, folder: Path, *, needed: bool, count: bool = Tru
     """One folder: without `needed` it can be done without; without `count` its size is not asked for."""
     existing = next((each for each in (folder, *folder.parents) if each.exists()), folder)
     if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
-        remedy = f"give this user the right to write to {existing}"
-        if not needed:
-            remedy += ", or set NUMBA_CACHE_DIR to another folder" if topic == "cache" else ", or begin in another folder"
+        other = {"state": "set HOME to", "cache": "set NUMBA_CACHE_DIR to"}.get(topic, "begin in")
+        remedy = f"give this user the right to write to {existing}, or {other} another folder"
         yield Finding(topic, "problem" if needed else "note", f"{folder}: cannot be written to", remedy)
         return
     free = shutil.disk_usage(existing).free
