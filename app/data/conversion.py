@@ -31,6 +31,7 @@ from goniotwin.app.formats.content import (
     flagged,
     nodes,
 )
+from goniotwin.app.formats.coverage import scattered_share
 from goniotwin.app.formats.file import SQLITE, read_head
 from goniotwin.app.formats.gridding import grid_table
 from goniotwin.app.formats.holes import FILLS, Fill, fill_holes, refuse_holes, unmeasured_share
@@ -131,16 +132,16 @@ class Converted:
         if (found := self.largest) is None:
             return None
         others = [each for each in FILLS if each not in (self.fill, "refuse")]
-        text = f"{100.0 * found.share:.3g} % of the scattered light at sigma {found.sigma_deg:g} has no measured value"
+        text = f"{100.0 * found.share:.3g} % of the scattered light at sigma {found.sigma_deg:g} is at nodes of the table that "
+        text += "were not measured"
         if len(self.shares) > 1:
             text += f", the most of {len(self.shares)} incidences"
-        text += f"; the gaps are filled by {self.fill} (other ways: --fill {' or '.join(others)})"
         if self.widest_gap_deg is not None:
             text += (
-                f". The table has no value between measured directions more than {self.widest_gap_deg:g} deg apart: measure a "
-                f"finer grid, or write a list of points ({_of_points()}), which needs no table"
+                f"; nodes between directions more than {self.widest_gap_deg:g} deg apart are interpolated and do not count: "
+                f"measure a finer grid, or write a list of points ({_of_points()})"
             )
-        return text
+        return f"{text}; other gaps are filled by {self.fill} (other ways: --fill {' or '.join(others)})"
 
     def as_dict(self) -> dict[str, Any]:
         """The result for JSON."""
@@ -299,10 +300,21 @@ def _write(chosen: BsdfFile, path: Path, form: Format, choice: Choice, notes: li
     else:
         chosen = _as_points(chosen, form, notes)
     shares = tuple(share for table in chosen.tables for share in shares_of(table))
+    notes += _impossible(chosen.tables)
     widest = next((part.widest_gap_deg for part in before.scattered if part.widest_gap_deg is not None), None)
     parts = tuple(replace(part, comments=(*part.comments, *notes)) for part in chosen.parts)
     files = writing.write(path, replace(chosen, parts=parts), form, notes)
     return Converted(files, form.name, measured, chosen.simulated, choice.fill, shares, tuple(notes), widest)
+
+
+def _impossible(tables: Sequence[BsdfTable]) -> list[str]:
+    """A line on each table with filled nodes that scatters more light than it receives."""
+    return [
+        f"{table.sample or 'the table'}: scatters {highest:.3g} times the light that it receives, with the nodes that were not "
+        "measured: do not use this table, and measure a finer grid"
+        for table in tables
+        if table.known is not None and not table.known.all() and (highest := float(scattered_share(table).max())) > 1.0
+    ]
 
 
 def refuse_itself(source: Path | None, path: Path, form: Format) -> None:

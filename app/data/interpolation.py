@@ -4,12 +4,13 @@ In one light the values are on rings of one polar angle (an arc measures these),
 (tables have this): which one follows from the directions alone, whatever file has carried them, by the share of the nodes above
 the horizon that have a value. Between them is the monotone cubic of `specular_grid`, the one of all tables. Where finer rings
 or half planes were measured near a lobe alone, a node without a value gets one from its neighbours on the half plane and on the
-ring. Between two incidences at fixed theta and phi, and between two wavelengths, the interpolation is linear.
+ring. Nothing is interpolated over a direction that was blocked or saturated. Between two incidences at fixed theta and phi, and
+between two wavelengths, the interpolation is linear.
 
 The uncertainty is that of the values, what they share included, and an estimate of the interpolation's own error: the monotone
-cubic is between the given values, as a linear interpolation is, and the difference of the two, over the polar angle and over
-the azimuth, is the half-width of a rectangular distribution. Between two incidences or wavelengths it is that of a parabola
-whose vertex is at one of them.
+cubic is between the given values, as a linear interpolation is, and the difference of the two in a cell, over the polar angle
+and over the azimuth, is the half-width of a rectangular distribution. Between two incidences or wavelengths it is that of a
+parabola whose vertex is at one of them.
 """
 
 import math
@@ -21,9 +22,10 @@ import numpy as np
 
 from goniotwin.app.data.values import EQUAL, LightSetting, SampleData, neighbours
 from goniotwin.app.errors import UserError
+from goniotwin.app.formats.content import flagged
 from goniotwin.app.formats.coverage import is_one_sided
 from goniotwin.app.formats.specular_grid import PolarGrid, count_nodes, grid_of_points, interpolate
-from goniotwin.arrays import Floats, Ints
+from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics import from_specular
 from goniotwin.twin.optics.geometry.coordinates import (
     TOLERANCE_DEG,
@@ -47,6 +49,10 @@ WIDEST_OF_TURN = 1.5
 """Azimuths go round where their widest step is at most so many times that of them and their mirror images together."""
 RECTANGULAR = math.sqrt(3.0)
 """A half-width over this is the standard uncertainty of a rectangular distribution."""
+BARRIERS = frozenset({"shadowed", "clipped"})
+"""Flags of directions that nothing is interpolated over: light may be there that was not seen, or more than was measured."""
+QUARTERS = (0.25, 0.75)
+"""Places in a cell, as shares, at which the difference of two interpolations is looked at besides the place itself."""
 Frame = Literal["rings", "specular"]
 
 
@@ -70,19 +76,26 @@ def direction_grid(data: SampleData, light: LightSetting) -> DirectionGrid | Non
 
 
 def _direction_grid(data: SampleData, light: LightSetting) -> DirectionGrid | None:
-    index = light.index[data.good[light.index]]
-    if not index.size:
+    values, sigma = data.values, light.sigma_deg
+    good = data.good[light.index]
+    kept = good | flagged(np.asarray(values.flags)[light.index], BARRIERS)
+    index, good = light.index[kept], good[kept]
+    if not good.any():
         return None
-    values = data.values
-    sigma = light.sigma_deg
     rings = nodes_of("rings", sigma, values.polar_deg[index], values.azimuth_deg[index] - light.psi_deg, values.isotropic)
     specular = nodes_of("specular", sigma, data.theta_deg[index], data.phi_deg[index], values.isotropic)
     found = specular if specular.filled >= rings.filled - ALIKE else rings
     if found.filled < LEAST_COMPLETED:
         return None
+    node = np.unique(np.stack([found.polar_deg, found.azimuth_deg], axis=1), axis=0, return_inverse=True)[1].ravel()
+    used = good | ~np.isin(node, node[good])  # a node with a trusted value is no barrier
+    index, polar, azimuth = index[used], found.polar_deg[used], found.azimuth_deg[used]
     own, shared = own_and_shared(np.asarray(values.u)[index], np.asarray(values.u_shared)[index])
-    grid = grid_of_points(found.polar_deg, found.azimuth_deg, values.values[index], own, shared, mirrored=found.mirrored)
-    return DirectionGrid(found.frame, _completed(grid))
+    trusted = np.where(good[used], values.values[index], np.inf)
+    grid = grid_of_points(polar, azimuth, trusted, own, shared, mirrored=found.mirrored)
+    barrier = np.isinf(grid.values)
+    grid = replace(grid, values=np.where(barrier, np.nan, grid.values))
+    return DirectionGrid(found.frame, _completed(grid, barrier))
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,14 +169,16 @@ def own_and_shared(u: Floats, u_shared: Floats) -> tuple[Floats, Floats]:
     return np.sqrt(np.maximum(u**2 - shared**2, 0.0)), shared
 
 
-def _completed(grid: PolarGrid) -> PolarGrid:
+def _completed(grid: PolarGrid, barrier: Flags) -> PolarGrid:
     """The grid with values between its own where a ring or a half plane has none; closed over 360 deg.
+
+    Nothing is interpolated at a `barrier` (p, a), nor beyond it.
 
     A node between others of its half plane and others of its ring has the mean of the two interpolated values, the closer
     neighbours weigh more; the difference of the two is the half-width of a rectangular distribution.
     """
-    tables = _joined_fills(_along_half_planes(grid), _along_rings(grid))
-    values, u, shared, _ = _along_rings(replace(grid, values=tables[0], u=tables[1], shared=tables[2]))
+    tables = _joined_fills(_along_half_planes(grid, barrier), _along_rings(grid, barrier))
+    values, u, shared, _ = _along_rings(replace(grid, values=tables[0], u=tables[1], shared=tables[2]), barrier)
     azimuth = grid.azimuth_deg
     if not grid.mirrored and azimuth.size > 1:
         # Two half planes more on each side, so that the interpolation goes on over 360 deg.
@@ -177,25 +192,25 @@ Fill = tuple[Floats, Floats, Floats, Floats]
 neighbours of a filled one are: 0 of a given value."""
 
 
-def _along_half_planes(grid: PolarGrid) -> Fill:
+def _along_half_planes(grid: PolarGrid, barrier: Flags) -> Fill:
     """The grid with its missing values interpolated over the polar angle."""
     values, u, shared, apart = _copied(grid)
     for k in np.flatnonzero(np.isnan(values).any(axis=0)).tolist():
-        found = _along(grid.polar_deg, values[:, k], u[:, k], shared[:, k])
+        found = _along(grid.polar_deg, values[:, k], u[:, k], shared[:, k], barrier[:, k])
         values[:, k], u[:, k], shared[:, k], apart[:, k] = found
     return values, u, shared, apart
 
 
-def _along_rings(grid: PolarGrid) -> Fill:
+def _along_rings(grid: PolarGrid, barrier: Flags) -> Fill:
     """The grid with its missing values interpolated over the azimuth, round the whole turn."""
     values, u, shared, apart = _copied(grid)
     turns = (0.0,) if grid.mirrored else (-TURN_DEG, 0.0, TURN_DEG)
     around = np.concatenate([grid.azimuth_deg + turn for turn in turns])
     here = slice(0, grid.azimuth_deg.size) if grid.mirrored else slice(grid.azimuth_deg.size, 2 * grid.azimuth_deg.size)
     for k in np.flatnonzero(np.isnan(values).any(axis=1)).tolist():
-        row, u_row, shared_row = (np.tile(each[k], len(turns)) for each in (values, u, shared))
+        rows = (np.tile(each[k], len(turns)) for each in (values, u, shared, barrier))
         sine = float(np.sin(np.radians(grid.polar_deg[k])))
-        values[k], u[k], shared[k], apart[k] = (each[here] for each in _along(around, row, u_row, shared_row, scale=sine))
+        values[k], u[k], shared[k], apart[k] = (each[here] for each in _along(around, *rows, scale=sine))
     return values, u, shared, apart
 
 
@@ -218,7 +233,7 @@ def _joined_fills(one: Fill, other: Fill) -> tuple[Floats, Floats, Floats]:
     return values, u, shared
 
 
-def _along(axis: Floats, values: Floats, u: Floats, shared: Floats, scale: float = 1.0) -> Fill:
+def _along(axis: Floats, values: Floats, u: Floats, shared: Floats, barrier: Flags, scale: float = 1.0) -> Fill:
     """Values (n,) on one axis with those that are missing, NaN, between others no further apart than `WIDEST_DEG` / `scale`.
 
     Angles on the axis are `scale` times as long on the sphere. What is interpolated shares all of its uncertainty.
@@ -237,7 +252,10 @@ def _along(axis: Floats, values: Floats, u: Floats, shared: Floats, scale: float
     found, u_found = interpolate(line, at, azimuth)
     error = np.abs(found - _linear(line, at, azimuth)) / RECTANGULAR
     apart[missing] = scale * _step(line.polar_deg, at)
-    found = np.where(apart[missing] > WIDEST_DEG + TOLERANCE_DEG, np.nan, found)
+    before = np.searchsorted(known, np.flatnonzero(missing)).clip(1, known.size - 1)
+    passed = np.cumsum(barrier)[known]
+    unknown = (apart[missing] > WIDEST_DEG + TOLERANCE_DEG) | (passed[before] > passed[before - 1])
+    found = np.where(unknown, np.nan, found)
     values, u, shared = values.copy(), u.copy(), shared.copy()
     values[missing], u[missing], shared[missing] = found, 0.0, np.hypot(u_found, error)
     return values, u, shared, apart
@@ -313,13 +331,39 @@ def _on_node(axis: Floats, at: Floats, sine: Floats) -> Floats:
 
 
 def _error(grid: PolarGrid, polar: Floats, azimuth: Floats, values: Floats) -> Floats:
-    """Differences (n,) of interpolated values from linear ones: over the polar angle, and over the azimuth, added."""
+    """The half-width (n,) of the interpolation's error: over the polar angle, and over the azimuth, added.
+
+    It is the difference from a linear interpolation, or what that is elsewhere in the cell, if that is more: a lobe crosses the
+    chord between its nodes, and is not known better there.
+    """
+    over_polar, over_azimuth = _differences(grid, polar, azimuth, values)
+    for quarter in QUARTERS:
+        if grid.polar_deg.size > 1:
+            at, weight = _in_cell(grid.polar_deg, polar, quarter)
+            over_polar = np.maximum(over_polar, weight * _differences(grid, at, azimuth)[0])
+        if grid.azimuth_deg.size > 1:
+            at, weight = _in_cell(grid.azimuth_deg, azimuth, quarter)
+            over_azimuth = np.maximum(over_azimuth, weight * _differences(grid, polar, at)[1])
+    return np.asarray(over_polar + over_azimuth)
+
+
+def _differences(grid: PolarGrid, polar: Floats, azimuth: Floats, values: Floats | None = None) -> tuple[Floats, Floats]:
+    """Differences (n,) of values from those that are linear over the polar angle, and of these from linear ones over both."""
+    values = interpolate(grid, polar, azimuth)[0] if values is None else values
     half = values
     if grid.polar_deg.size > 1:
         index, place = _cell(grid.polar_deg, polar)
         before, after = (interpolate(grid, grid.polar_deg[k], azimuth)[0] for k in (index, index + 1))
         half = np.where(place < 1.0, (1.0 - place) * before, 0.0) + np.where(place > 0.0, place * after, 0.0)
-    return np.asarray(np.abs(values - half) + np.abs(half - _linear(grid, polar, azimuth)))
+    return np.abs(values - half), np.abs(half - _linear(grid, polar, azimuth))
+
+
+def _in_cell(axis: Floats, at: Floats, share: float) -> tuple[Floats, Floats]:
+    """The place at a share of the cell of each place (n,), and a weight that falls from 1 to 0 towards the nodes."""
+    index, place = _cell(axis, at)
+    inside = (place > 0.0) & (place < 1.0)
+    there = np.where(inside, axis[index] + share * (axis[index + 1] - axis[index]), at)
+    return there, np.where(inside, np.minimum(1.0, place * (1.0 - place) / (QUARTERS[0] * QUARTERS[1])), 0.0)
 
 
 def interpolated(
@@ -411,13 +455,15 @@ def _around(
 def nearest_directions(
     data: SampleData, lights: Sequence[LightSetting], theta_deg: float, phi_deg: float, count: int = 2
 ) -> str:
-    """The trusted directions nearest to one, in words."""
+    """The trusted directions nearest to one, in words; and the barriers that are near."""
     index = np.concatenate([each.index for each in lights])
-    index = index[data.good[index]]
-    if not index.size:
+    if not data.good[index].any():
         return "there is no trusted value in this light"
     wanted = from_specular(0.0, theta_deg, phi_deg)
     apart = np.linalg.norm(from_specular(0.0, data.theta_deg[index], data.phi_deg[index]) - wanted, axis=1)
-    near = index[np.argsort(apart, kind="stable")[: 8 * count]].tolist()
-    found = dict.fromkeys(f"theta {data.theta_deg[k]:.4g}, phi {data.phi_deg[k]:.4g}" for k in near)
-    return f"the nearest directions with a value are {' and '.join(list(found)[:count])}"
+    near = index[np.argsort(apart, kind="stable")]
+    good = near[data.good[near]][: 8 * count].tolist()
+    found = dict.fromkeys(f"theta {data.theta_deg[k]:.4g}, phi {data.phi_deg[k]:.4g}" for k in good)
+    flags = {each for text in data.values.flags[near[: 8 * count]].tolist() for each in text.split()} & BARRIERS
+    barriers = f"nothing is interpolated beside {' and '.join(sorted(flags))} directions; " if flags else ""
+    return f"{barriers}the nearest directions with a value are {' and '.join(list(found)[:count])}"

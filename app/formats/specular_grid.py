@@ -104,10 +104,10 @@ def resample(
 ) -> SpecularCut:
     """Interpolate to the nodes (phi, theta) about the specular direction of sigma.
 
-    Nodes that are not known (obstructed, below the horizon, beyond the last polar angle, between directions further apart than
-    `widest_gap_deg`) are continued along theta: linear between known nodes, held beyond them; a row without known nodes is the
-    mean of the others, a table without any is 0. For light on the `back`, sigma, phi and theta are those of the sample turned
-    about x: azimuths change their sign.
+    Nodes between directions further apart than `widest_gap_deg` are interpolated, and count as not known. Those without values
+    around (obstructed, below the horizon, beyond the last polar angle) are continued along theta: linear between other nodes,
+    held beyond them; a row without any is the mean of the others, a table without any is 0. For light on the `back`, sigma, phi
+    and theta are those of the sample turned about x: azimuths change their sign.
     """
     directions = from_specular(sigma_deg, theta_deg[None, :], phi_deg[:, None])
     polar, azimuth = zenith_and_azimuth(mirror_in_plane_of_incidence(directions) if back else directions)
@@ -119,8 +119,9 @@ def resample(
     rows_found = [interpolate(grid, *row) for row in zip(polar, azimuth, strict=True)]
     values, u = np.array(rows_found).swapaxes(0, 1)
     apart = np.where(pole, 0.0, np.sin(np.radians(polar)) * _gap(grid.azimuth_deg, azimuth))
-    values[np.maximum(apart, _gap(grid.polar_deg, polar)) > widest_gap_deg + TOLERANCE_DEG] = np.nan
-    return continued(theta_deg, values, u)
+    between = np.maximum(apart, _gap(grid.polar_deg, polar)) > widest_gap_deg + TOLERANCE_DEG
+    cut = continued(theta_deg, values, u)
+    return SpecularCut(cut.values, np.where(between, np.maximum(cut.u, np.abs(cut.values)), cut.u), cut.known & ~between)
 
 
 def continued(theta_deg: Floats, values: Floats, u: Floats) -> SpecularCut:

@@ -82,7 +82,7 @@ def test_the_share_that_was_not_measured_is_reported_and_is_in_the_file(
     assert f"{100.0 * shares[0.0]:.3g} % at sigma 0" in line
     app(["convert", str(tmp_path / "a.csv"), str(tmp_path / "b.ddr"), "--fill", "neighbour"], standalone_mode=False)
     out = capsys.readouterr().out
-    assert "the scattered light at sigma 0 has no measured value, the most of 3 incidences; the gaps are filled" in out
+    assert "at nodes of the table that were not measured, the most of 3 incidences; other gaps are filled by neighbour" in out
     with pytest.raises(UserError, match=r"c\.ddr: paint: at sigma 0 .* % of the light was not measured"):
         app(["convert", str(tmp_path / "a.csv"), str(tmp_path / "c.ddr"), "--fill", "refuse"], standalone_mode=False)
     assert not (tmp_path / "c.ddr").exists()
@@ -104,18 +104,18 @@ def test_a_sample_is_chosen_where_a_format_holds_one(tmp_path: Path) -> None:
 
 def test_light_and_side_are_chosen_where_a_format_holds_one(tmp_path: Path) -> None:
     sides = [nodes(table(back=back, transmitted=through)) for back in (False, True) for through in (False, True)]
-    mixed = [replace(each, values=np.full(each.size, 1.0 + k)) for k, each in enumerate(sides)]
+    mixed = [replace(each, values=np.full(each.size, 0.1 * (1 + k))) for k, each in enumerate(sides)]
     content = BsdfFile(tuple(mixed))
     with pytest.raises(UserError, match=r"there is reflected and transmitted light, .* zemax .*; choose it with --light"):
         convert(content, tmp_path / "a.bsdf")
-    for light, side, value in (("transmitted", "front", 2.0), ("reflected", "back", 3.0), ("transmitted", "back", 4.0)):
+    for light, side, value in (("transmitted", "front", 0.2), ("reflected", "back", 0.3), ("transmitted", "back", 0.4)):
         convert(content, tmp_path / "a.bsdf", light=light, side=side)
         found = registry.read(tmp_path / "a.bsdf").only_table()
         assert (found.transmitted, found.values.max()) == (light == "transmitted", pytest.approx(value))
     done = convert(content, tmp_path / "a.ddt")  # which holds transmitted light, of one side
     light = "the reflected light is omitted: the format ddt has no room for it"
     assert done.notes == ("the values of the back are omitted; --side back writes them", light)
-    assert registry.read(tmp_path / "a.ddt").only_table().values.max() == pytest.approx(2.0)
+    assert registry.read(tmp_path / "a.ddt").only_table().values.max() == pytest.approx(0.2)
     front = BsdfFile((mixed[0],))
     for choice, wrong in (({"light": "transmitted"}, "no transmitted light"), ({"side": "back"}, "with light on the back")):
         with pytest.raises(UserError, match=wrong):
@@ -344,7 +344,7 @@ def test_the_rule_of_the_widest_gap_is_in_the_line_of_what_was_not_measured(tmp_
     points = replace(nodes(table()), widest_gap_deg=3.0)
     line = convert(BsdfFile((points,)), tmp_path / "a.ddr").unmeasured_line
     assert line is not None
-    assert "no value between measured directions more than 3 deg apart" in line
+    assert "between directions more than 3 deg apart are interpolated and do not count" in line
     assert ".csv" in line
 
 
@@ -361,3 +361,11 @@ def test_negative_values_are_mentioned_once_with_their_quantity(tmp_path: Path, 
     known[0, 0, 0, 0, :3] = False  # filled
     convert(BsdfFile((replace(table(), values=values, known=known),)), tmp_path / "a.h5")
     assert not any("negative" in each for each in run(capsys, "convert", tmp_path / "a.h5", tmp_path / "c.ssdd")["notes"])
+
+
+@pytest.mark.parametrize(("peak", "said"), [(1.0, False), (40.0, True)])
+def test_a_filled_table_that_scatters_more_than_it_receives_is_named(peak: float, said: bool, tmp_path: Path) -> None:
+    whole = table()
+    known = np.broadcast_to(whole.theta_deg < 20.0, whole.values.shape)
+    notes = convert(BsdfFile((replace(whole, values=peak * whole.values, known=known),)), tmp_path / "a.ddr").notes
+    assert any("times the light that it receives" in each for each in notes) is said

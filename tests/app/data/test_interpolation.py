@@ -14,6 +14,7 @@ from goniotwin.app.data.opening import dataset_of_file
 from goniotwin.app.formats.content import BsdfFile, ScatteredBsdf
 from goniotwin.app.formats.specular_grid import grid_of_points, interpolate
 from goniotwin.app.formats.table import BsdfTable
+from goniotwin.twin.optics import arc_direction, to_specular
 from tests.app.data.made import gaussian, lambertian, rings, table
 
 POLAR, AZIMUTH = np.arange(0.0, 86.0, 1.0), np.arange(0.0, 181.0, 5.0)
@@ -95,10 +96,38 @@ def test_where_there_are_no_values_around_it_names_the_nearest() -> None:
     assert np.isfinite(several.value).tolist() == [True, True, False]
 
 
+@pytest.mark.parametrize("flag", ["clipped", "shadowed"])
+def test_over_a_saturated_peak_or_a_blocked_direction_there_is_no_value(flag: str) -> None:
+    """The value there may be anything: the neighbours do not show it. Further away the same values stand."""
+    whole = rings(gaussian(15.0), 30.0, POLAR, AZIMUTH, u=0.01)
+    theta, _ = to_specular(whole.sigma_deg, arc_direction(whole.polar_deg, whole.azimuth_deg))
+    lost = theta < 4.0
+    made = replace(whole, values=np.where(lost, np.nan, whole.values), flags=np.where(lost, flag, ""))
+    d, undisturbed = dataset(made), dataset(whole)
+    with pytest.raises(goniotwin.GoniotwinError, match=f"nothing is interpolated beside {flag} directions; the nearest"):
+        d.at(sigma_deg=30, theta_deg=1.3, phi_deg=40)
+    far = {"sigma_deg": 30, "theta_deg": 21.3, "phi_deg": 40}
+    assert d.at(**far) == undisturbed.at(**far)
+    assert goniotwin.compare(undisturbed, d).lights[0].index.size == np.sum(~lost)
+    dead = dataset(replace(made, flags=np.where(lost, "dead", "")))
+    assert math.isfinite(dead.at(sigma_deg=30, theta_deg=1.3, phi_deg=40).value)
+
+
+def test_where_the_cubic_crosses_the_chord_u_stays() -> None:
+    """Both agree in one point of a flank's cell, and not with the lobe."""
+    lobe, azimuth = gaussian(12.0), np.arange(0.0, 181.0, 10.0)
+    made = rings(lobe, 60.0, np.arange(0.0, 90.0, 5.0), azimuth, u=1e-4)
+    d = dataset(made)
+    at = np.linspace(160.5, 169.5, 200)
+    theta, phi = to_specular(np.full(200, 60.0), arc_direction(np.full(200, 60.0), at))
+    value, u = d.at(sigma_deg=60, polar_deg=np.full(200, 60.0), azimuth_deg=at)
+    assert np.max(np.abs(value - lobe(theta, phi)) / u) < 3.0
+
+
 def test_flagged_values_do_not_count() -> None:
     part = rings(lambertian(1.0), 0.0, POLAR, AZIMUTH, u=0.01)
-    shadowed = (part.polar_deg < 10.0) & (part.azimuth_deg < 90.0)
-    d = dataset(replace(part, values=np.where(shadowed, 5.0, part.values), flags=np.where(shadowed, "shadowed", "steep")))
+    dead = (part.polar_deg < 10.0) & (part.azimuth_deg < 90.0)
+    d = dataset(replace(part, values=np.where(dead, 5.0, part.values), flags=np.where(dead, "dead", "steep")))
     assert d.at(polar_deg=8.5, azimuth_deg=120).value == pytest.approx(1.0 / math.pi)
     # From the ring beyond, across the pole.
     assert d.at(polar_deg=8.5, azimuth_deg=30).value == pytest.approx(1.0 / math.pi)
