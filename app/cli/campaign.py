@@ -116,8 +116,8 @@ def prove(
     measures the whole schedule in simulated time. The program then compares its values with the truth.
 
     The command prints the coverage of the 95 % interval by decade of signal, side, plane, zenith, sigma, wavelength and sample.
-    Each coverage has its standard error over the rigs. It also prints the reflectances, and what is left after a fit of the
-    inputs that values share. A key of [twin.disturbances] adds a fault that [uncertainty] does not include.
+    Each coverage has its standard error over the rigs. It also prints the reflectances, and the chi-square that remains after a
+    fit of the inputs that the values share. A key of [twin.disturbances] adds a fault that [uncertainty] does not include.
 
     With --structures, the program also draws the schedules and the samples. Structure number k is the same in every run. The
     folder of the results has the files of each structure, and you can prove each one by itself. The command names each group

@@ -241,7 +241,9 @@ def illumination(
     seed: Seed = 1,
     rayset: Annotated[
         Path | None,
-        typer.Option("--rayset", metavar="FILE.h5", help="Record the rays that leave the mirror unit.", show_default=False),
+        typer.Option(
+            "--rayset", metavar="FILE.h5", help="Record the rays that leave the output condenser.", show_default=False
+        ),
     ] = None,
     rays: Annotated[
         int | None,

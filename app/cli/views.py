@@ -153,9 +153,10 @@ def render(
 ) -> None:
     """Render a sphere with two BSDFs, and their difference.
 
-    The sphere is in a box with checkerboard walls, under a rectangular light. With --figure14, the picture has four columns:
-    Gaussians of 2, 5, 15 and 30 deg. The upper row shows formula 6. The lower row shows what the virtual prototype measures
-    with the worst combination of its deviations. The command needs Mitsuba 3: pip install 'goniotwin[render]'.
+    The sphere is in a box with checkerboard walls, under a rectangular light. The picture has three rows: the first BSDF, the
+    second, and their difference. With --figure14, it has four columns: Gaussians of 2, 5, 15 and 30 deg. There the first row
+    shows formula 6. The second row shows what the virtual prototype measures with the worst combination of its deviations. The
+    command needs Mitsuba 3: pip install 'goniotwin[render]'.
     """
     if figure14 != (first is None and second is None) or (first is None) != (second is None):
         raise UserError("render: give two files, or --figure14 alone")

@@ -28,11 +28,11 @@ ABOUT_FILL: dict[Fill, tuple[str, ...]] = {
         "interpolated along theta, or have the value of the nearest, or, in a row without any, the mean of the other rows;",
     ),
     "neighbour": (
-        "filled with the shape of the nearest other sigma about its specular direction, at the height of the hole's rim;",
+        "filled with the shape of the nearest other sigma about its specular direction, at the height of the gap's rim;",
         "where no sigma has one, interpolated along theta, or with the value of the nearest;",
     ),
     "fit": (
-        "filled, at a peak, by the Gaussian or the lobe with wide tails that is fitted to the values around the hole,",
+        "filled, at a peak, by the Gaussian or the lobe with wide tails that is fitted to the values around the gap,",
         "between known values by a Gaussian through both, and beyond the last ones with the value of the nearest;",
     ),
 }
@@ -155,6 +155,6 @@ def refuse_holes(sigma_deg: Floats, phi_deg: Floats, theta_deg: Floats, values: 
             if holes.any():
                 at = np.broadcast_to(theta_deg, holes.shape)[holes]
                 raise ValueError(
-                    f"at sigma {sigma:g} {100.0 * shares[c, p, s]:.3g} % of the light was not measured, with holes from theta "
+                    f"at sigma {sigma:g} {100.0 * shares[c, p, s]:.3g} % of the light was not measured, with gaps from theta "
                     f"{at.min():g} to {at.max():g}"
                 )

@@ -263,7 +263,7 @@ BUILT_IN = (
     ),
     Format(
         "archive",
-        "HDF5 archive; of a journal with all that its uncertainties are made of",
+        "HDF5 archive; for a journal, with all inputs of its uncertainties",
         (".h5", ".hdf5", ".nxs"),
         frozenset(set(Holds) - {Holds.RAYS, Holds.COLUMNS}),
         "goniotwin.app.formats.archive",

@@ -169,7 +169,12 @@ SENSOR_SHIFT = Input(
     "sensor_shift_mm", 0.1, "shift of all photodiodes alike, each along its own x, y, and z, its view", shifts_of("sensor")
 )
 SIGMA_ZERO, BETA_ZERO, SHIFT_ZERO = (
-    Input(f"{axis}_zero_deg", 0.05, f"angle of {axis} less that of its motor, unseen by switches and encoder", (ANGLE[axis],))
+    Input(
+        f"{axis}_zero_deg",
+        0.05,
+        f"angle of {axis} minus the angle of its motor; switches and encoder do not show it",
+        (ANGLE[axis],),
+    )
     for axis in ("sigma", "beta", "shift")
 )
 PHOTODIODE_ANGLE = Input(
@@ -187,32 +192,38 @@ PHOTODIODE_ACROSS = Input(
     SharedBy.PHOTODIODE,
 )
 POSITION = Input(
-    "position_deg", 0.01, "true angle of an axis, gamma too, after a move", tuple(ANGLE.values()), SharedBy.AXIS_MOVE
+    "position_deg", 0.01, "error of the angle of an axis after a move, gamma too", tuple(ANGLE.values()), SharedBy.AXIS_MOVE
 )
 BACKLASH = Input(
     "backlash_deg",
     0.0,
-    "play of an axis that is not taken up; not drawn: each axis has so much more",
+    "play of an axis that the approach does not take up; not drawn: each axis of a virtual rig has this much more play",
     (twin.PLAY,),
     SharedBy.AXIS_MOVE,
 )
 FIELD_OF_VIEW = Input(
     "field_of_view",
     0.12,
-    "logarithm of the variance of directions, by which exit pupil and acceptance cone are scaled alike",
+    "logarithm of the variance of the directions; exit pupil and acceptance cone are scaled alike",
     (twin.FIELD,),
     name="field",
     largest=2.0,
 )
-WAVELENGTH = Input("wavelength_nm", 0.35, "true wavelength less the one that is set", (twin.WAVELENGTH,))
+WAVELENGTH = Input("wavelength_nm", 0.35, "true wavelength minus the set one", (twin.WAVELENGTH,))
 LINEARITY = Input(
-    "linearity_per_decade", 1e-3, "responsivity of the photodiodes, for a decade of current (above 1 nA)", (twin.LINEARITY,)
+    "linearity_per_decade",
+    1e-3,
+    "change of the photodiodes' responsivity in a decade of current (above 1 nA)",
+    (twin.LINEARITY,),
 )
 CROSSTALK = Input("crosstalk", 1e-5, "share of a channel's volts (12 at most) in the others of its module", (twin.CROSSTALK,))
 MONITOR_LINEARITY = Input(
-    "monitor_linearity_per_decade", 1e-3, "responsivity of the monitor, for a decade of current", (twin.MONITOR_LINEARITY,)
+    "monitor_linearity_per_decade",
+    1e-3,
+    "change of the monitor's responsivity in a decade of current",
+    (twin.MONITOR_LINEARITY,),
 )
-MONITOR_DRIFT = Input("monitor_drift_per_hour", 2e-4, "responsivity of the monitor, in an hour", (twin.MONITOR_DRIFT,))
+MONITOR_DRIFT = Input("monitor_drift_per_hour", 2e-4, "change of the monitor's responsivity in an hour", (twin.MONITOR_DRIFT,))
 CERTIFICATE_LEVEL = Input(
     "certificate_level",
     None,
@@ -223,32 +234,44 @@ CERTIFICATE_LEVEL = Input(
 ETALON_AGE = Input(
     "etalon_age_per_year",
     1e-3,
-    "drift of the etalon in a year since its calibration; of a second standard another one",
+    "drift of the etalon in a year since its calibration; another one for a second standard",
     {"etalon_age": factor_of(ETALON), "second_age": factor_of(SECOND)},
     name="etalon_age",
 )
 ETALON_EDGE = Input(
     "etalon_edge",
     2e-3,
-    "light that the etalon, a diffuser, loses at the frames' edges; that a second standard loses",
+    "fraction of light that the etalon, a diffuser, loses at the edges of the frames; another one for a second standard",
     {"etalon_edge": factor_of(ETALON), "second_edge": factor_of(SECOND)},
 )
 MONOCHROMATOR_STRAY = Input(
     "monochromator_stray",
     1e-4,
-    "light of all wavelengths, as the lamp has them, as a share of the light at the set one",
+    "light of all wavelengths, with the spectrum of the lamp, over the light at the set wavelength",
     (twin.STRAY_LIGHT,),
 )
-SCAN = Input("scan", 1e-3, "sum of a scan of the open beam with steps of 0.2 deg", shared_by=SharedBy.SCAN)
-BEAM_HOLE = Input("beam_hole", 4e-3, "light of the open beam that the hole of one frame cuts off, of each of two")
+SCAN = Input("scan", 1e-3, "error of the sum of a scan of the open beam with steps of 0.2 deg", shared_by=SharedBy.SCAN)
+BEAM_HOLE = Input("beam_hole", 4e-3, "fraction of the open beam that the hole of a frame cuts off, for each of the two frames")
 REPEATABILITY = Input(
-    "repeatability", 0.0, "signal of sample and etalon when a pose is reached again", factor_of(SAMPLE, ETALON), SharedBy.MOVE
+    "repeatability",
+    0.0,
+    "change of the signal of sample and etalon when a pose is reached again",
+    factor_of(SAMPLE, ETALON),
+    SharedBy.MOVE,
 )
 UNIFORMITY = Input(
-    "uniformity", 0.0, "place of the spot on the surface of sample and etalon", factor_of(SAMPLE, ETALON), SharedBy.MOUNTING
+    "uniformity",
+    0.0,
+    "change of the signal of sample and etalon with the place of the spot on the surface",
+    factor_of(SAMPLE, ETALON),
+    SharedBy.MOUNTING,
 )
 MOUNTING = Input(
-    "mounting", 0.0, "signal of sample and etalon when they are mounted again", factor_of(SAMPLE, ETALON), SharedBy.MOUNTING
+    "mounting",
+    0.0,
+    "change of the signal of sample and etalon when they are mounted again",
+    factor_of(SAMPLE, ETALON),
+    SharedBy.MOUNTING,
 )
 HASHED = frozenset(inputs())
 """The inputs of the first hash of a model, which has all of them. A later one is in it where it is not 0: declare it below."""

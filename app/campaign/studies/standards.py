@@ -112,7 +112,7 @@ class StandardsReport:
             return f"{self.name} and {self.etalon} were not compared: {self.missing}"
         found = self.together
         text = (
-            f"{self.name} gives {found.ratio:.4f} of the light that {self.etalon} makes it expect (u {100.0 * found.u:.2f} %, "
+            f"{self.name} / {self.etalon}: {found.ratio:.4f} of the expected signal (u {100.0 * found.u:.2f} %, "
             f"z {signed(found.z)}; chi-square of {len(self.by_light)} by wavelength and incidence {self.chi_square:.1f})"
         )
         if self.differs:
@@ -178,8 +178,8 @@ class ExpectedComparison:
 
     def __str__(self) -> str:
         return (
-            f"their ratio will have a u of {100.0 * self.u:.2f} %, without noise: that they differ by "
-            f"{100.0 * DIFFERS * self.u:.1f} % is found for certain, {100.0 * AGREES * self.u:.1f} % as more than expected"
+            f"u of their ratio {100.0 * self.u:.2f} % (without noise): a difference of {100.0 * DIFFERS * self.u:.1f} % is "
+            f"certainly detected ({DIFFERS:g} u), a difference of {100.0 * AGREES * self.u:.1f} % is noticed ({AGREES:g} u)"
         )
 
 

@@ -71,7 +71,7 @@ def test_below_the_horizon_there_is_no_light_to_measure() -> None:
 
 
 def test_refused_holes_are_named() -> None:
-    with pytest.raises(ValueError, match=r"^at sigma 0 .* % of the light was not measured, with holes from theta 0 to 3\.5$"):
+    with pytest.raises(ValueError, match=r"^at sigma 0 .* % of the light was not measured, with gaps from theta 0 to 3\.5$"):
         filled("refuse")
 
 

@@ -378,7 +378,7 @@ def test_check_states_what_will_be_found_and_closure_what_was(tmp_path: Path) ->
     checked = json.loads(invoke("check", schedule, "--rig", rig, "--json").stdout)
     assert checked["mountings"] == ["etalon", "second", "gaussian-5"]
     assert checked["standards"]["found"] == pytest.approx(0.017, abs=0.001)
-    assert "differ by 1.7 % is found for certain" in invoke("check", schedule, "--rig", rig).stdout
+    assert "a difference of 1.7 % is certainly detected (4 u)" in invoke("check", schedule, "--rig", rig).stdout
     plan = make_plan(parse_schedule(text, "two.toml"), parse_rig(rig_text(etalon=0.9405), tmp_path, "rig"))
     run_until(plan, path, 0.5 * plan.seconds)
     with Journal.open(path) as journal:
