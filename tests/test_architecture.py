@@ -103,7 +103,7 @@ def drawn(name: str) -> Graph:
 
 
 def test_the_picture_of_the_rooms_is_that_of_the_imports() -> None:
-    assert drawn("The house") == {room: others for room, others in reduced(imports(ROOMS)).items() if others}
+    assert drawn("The packages") == {room: others for room, others in reduced(imports(ROOMS)).items() if others}
 
 
 def test_the_picture_of_a_campaign_is_that_of_the_imports() -> None:
