@@ -100,6 +100,7 @@ def test_diagrams_are_in_the_page_in_its_own_colours(site: Path) -> None:
     assert set(re.findall(r'(?:fill|stroke)="([^"]*)"', drawn)) == {"currentColor", "none"}
 
 
+@pytest.mark.long
 def test_a_link_to_a_source_is_a_plain_path_without_an_address_and_a_link_with_one(tmp_path: Path) -> None:
     pages = tmp_path / "docs"
     pages.mkdir()

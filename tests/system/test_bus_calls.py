@@ -95,6 +95,7 @@ def by_bus(calls: Counter[Site]) -> Counter[str]:
     return found
 
 
+@pytest.mark.long
 def test_each_exchange_is_one_call_of_its_library_at_the_same_lines_in_a_rehearsal_and_over_served_ports(
     write_rig: Writer, write_schedule: Writer, forked_serve: ForkedServe, tmp_path: Path
 ) -> None:

@@ -213,6 +213,7 @@ def reflectance_by_quadrature(width_deg: float, shift_deg: float, half: bool) ->
     return 0.9 * integral(math.radians(shift_deg), seen) / integral(0.0, azimuth)
 
 
+@pytest.mark.long
 def test_a_shifted_lobe_keeps_its_reflectance_and_half_of_it_with_its_mirror_image_does_not() -> None:
     whole, half = (reflectance_by_quadrature(2.0, 0.38, each) for each in (False, True))
     assert whole == pytest.approx(0.900, abs=1e-4)

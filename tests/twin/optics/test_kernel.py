@@ -103,7 +103,7 @@ class Poison:
     ("whose", "trusted"),
     [
         ("own", True),
-        ("open to all", False),
+        pytest.param("open to all", False, marks=pytest.mark.long),
         pytest.param("open to the group", False, marks=pytest.mark.long),
         pytest.param("another user's", False, marks=pytest.mark.long),
     ],

@@ -256,6 +256,7 @@ def test_directions_of_both_arcs_and_both_sides() -> None:
     assert np.allclose(np.degrees(np.arctan2(-y, x)), 100.0)
 
 
+@pytest.mark.long
 def test_reflection_and_transmission_of_both_sides_are_right(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     white = ('model = "lambertian"\nreflectance = 0.99', 'model = "lambertian"\nreflectance = 0.99\nside = "both"')
     rig = write_rig(*QUIET, white, ("[twin.samples.etalon]", f"{GLASS}[twin.samples.etalon]"))

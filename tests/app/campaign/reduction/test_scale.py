@@ -191,6 +191,7 @@ def test_a_mean_of_repeats_has_half_the_variance_of_the_samples_rows_and_all_of_
     assert sum(each.u**2 for each in mean) == pytest.approx(4.0 * 1.5e-4)
 
 
+@pytest.mark.long
 def test_the_open_beam_takes_the_place_of_certificate_age_and_edge_where_it_is_the_scale() -> None:
     """Transmitted light at one wavelength and sigma; the other points have the certificate."""
     points = points_at([500.0, 500.0, 510.0], [120.0, 40.0, 120.0])

@@ -156,7 +156,7 @@ def test_a_rehearsal_warns_of_a_sample_without_values_and_gives_the_reason() -> 
     ("light", "expected"),
     [
         ("reflected", ["from reflected light"]),
-        ("transmitted", ["from the etalon's signal that scales transmitted light"]),
+        pytest.param("transmitted", ["from the etalon's signal that scales transmitted light"], marks=pytest.mark.long),
         ("both", ["from reflected light and from the etalon's signal that scales transmitted light"]),
     ],
 )

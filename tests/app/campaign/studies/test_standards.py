@@ -344,6 +344,7 @@ def test_the_expected_difference_is_that_of_certificates_edges_and_ages() -> Non
     assert wider.u == pytest.approx(math.hypot(0.002, 0.02, math.sqrt(2.0) * math.hypot(0.002, 0.001)), rel=0.01)
 
 
+@pytest.mark.long
 def test_a_proof_draws_the_second_standard_by_itself_and_a_turned_etalon_with_it() -> None:
     factors = []
     for stated in (CERTIFICATE, TURNED):

@@ -57,6 +57,7 @@ def small_plan(seed: int) -> NewPlan:
     return drawn_plan(parse_schedule(SMALL, "small"), alignment_rig(), seed)
 
 
+@pytest.mark.long
 def test_a_tilt_in_the_middle_of_a_run_is_found_and_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A sample tilted by t in the plane of incidence turns the specular direction against the arc by 2 t.
 
