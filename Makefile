@@ -18,8 +18,8 @@ demo: $(READY)
 
 test: $(READY)
 	@QT_QPA_PLATFORM=offscreen $(BIN)/python -c "import PySide6.QtWidgets" 2>/dev/null || { \
-	  echo "The tests of the window need Qt's system libraries. On Debian and Ubuntu:"; \
-	  echo "  sudo apt-get install -y libegl1 libgl1 libxkbcommon0 libdbus-1-3 libfontconfig1 libglib2.0-0"; exit 1; }
+	  echo "The tests of the window need Qt's system libraries:"; \
+	  $(BIN)/python -c "from goniotwin.app.cli.work.doctor import QT_LIBRARIES; print(QT_LIBRARIES)"; exit 1; }
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
 	@# The types take a minute of one core: at low priority, in what the tests leave.
 	@# One process reads the modules of the tests first: three would rewrite their assertions three times, at once.

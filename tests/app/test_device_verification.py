@@ -151,7 +151,7 @@ def exchange_cables(rig: VirtualRig) -> None:
 
 
 def keep_shut(rig: VirtualRig) -> None:
-    rig.plant.shutter_open.set = lambda t, value: None  # type: ignore[method-assign]
+    rig.plant.shutter_open.set = lambda t, value: None  # type: ignore[method-assign]  # a shutter that does not move
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from goniotwin.app.cli.work import doctor
-from goniotwin.app.cli.work.doctor import Finding, examine, exit_status
-from tests.conftest import Writer
+from goniotwin.app.cli.work.doctor import QT_LIBRARIES, Finding, examine, exit_status
+from tests.conftest import REPOSITORY, Writer
 from tests.system.command import goniotwin, invoke
 
 UNPRIVILEGED = pytest.mark.skipif(sys.platform == "win32" or os.geteuid() == 0, reason="rights do not bind this user")
@@ -140,3 +140,10 @@ def test_a_broken_part_of_the_examination_is_one_line(monkeypatch: pytest.Monkey
     breaks.__name__ = "serial_ports"
     monkeypatch.setattr(doctor, "serial_ports", breaks)
     assert finding("serial ports").text == "not examined: RuntimeError: no list of ports"
+
+
+def test_page_and_workflow_install_the_system_libraries_that_it_names() -> None:
+    names = QT_LIBRARIES.partition("install -y ")[2]
+    assert names
+    for place in ("docs/install.md", ".github/workflows/test.yml"):
+        assert names in (REPOSITORY / place).read_text(encoding="utf-8"), place
