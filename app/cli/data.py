@@ -246,7 +246,7 @@ def verify(
 ) -> None:
     """Check the values of a data file against physics.
 
-    The checks are reciprocity, energy, symmetry, overlaps of photodiodes, drift, instrument signature and obstructed
+    The checks are reciprocity, energy, symmetry, overlaps of photodiodes, drift, instrument signature and missing
     directions. Each has a verdict with figures. It is "nothing to judge" if the schedule measures nothing for the check.
 
     A table shows what the campaign finds out about the inputs of the uncertainty. It lists how many combinations of them the

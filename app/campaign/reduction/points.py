@@ -418,6 +418,21 @@ class Tally:
         """Median over the blocks of `noise`, 1/sr; None without a good value."""
         return float(np.median(self.noise)) if self.noise else None
 
+    @property
+    def missing(self) -> dict[str, int]:
+        """Counts of the points without a trusted value by their first flag; "" has those without a flag."""
+        by_flag = {name: count for name in REASON_ORDER if (count := self.flagged.get(name, 0))}
+        left = self.directions - self.good - sum(by_flag.values())
+        return by_flag | ({"": left} if left else {})
+
+    @property
+    def missing_in_words(self) -> str:
+        """The counts of `missing`, such as "4 are blocked by the mirror unit, 1 is saturated at every gain"."""
+        return ", ".join(
+            f"{count} {'is' if count == 1 else 'are'} {FLAGS[name].reason if name else 'without a value for another reason'}"
+            for name, count in self.missing.items()
+        )
+
     def add(self, points: BsdfPoints) -> None:
         """Count more points."""
         good, above_noise = points.good, ~points.flag("under-range")

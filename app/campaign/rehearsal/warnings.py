@@ -13,7 +13,7 @@ from goniotwin.app.campaign.geometry.arcs import arc_views, observing_arcs, pola
 from goniotwin.app.campaign.geometry.directions import ARCS
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.drift_checks import unchecked_note
-from goniotwin.app.campaign.reduction.points import FLAGS, REASON_ORDER, Tally
+from goniotwin.app.campaign.reduction.points import FLAGS, Tally
 from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
 from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.campaign.schedule.file import ScheduleFile
@@ -170,12 +170,8 @@ def value_warnings(file: ScheduleFile, tallies: Mapping[str, Tally], unchecked: 
 
 
 def _reasons(tally: Tally) -> str:
-    counts = {flag: tally.flagged[flag] for flag in REASON_ORDER if tally.flagged[flag]}
-    reasons = [f"{count} are {FLAGS[flag].reason}" for flag, count in counts.items()]
-    left = tally.directions - sum(counts.values())
-    if left:
-        reasons.append(f"{left} have no value for another reason")
-    return f"{', '.join(reasons)}; {', '.join(FLAGS[flag].remedy for flag in counts) or 'see the events of the journal'}"
+    remedies = [FLAGS[flag].remedy for flag in tally.missing if flag]
+    return f"{tally.missing_in_words}; {', '.join(remedies) or 'see the events of the journal'}"
 
 
 def relevant_photodiodes(plan: Plan, row: Row) -> Flags:

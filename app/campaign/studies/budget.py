@@ -12,7 +12,7 @@ from goniotwin.app.campaign.measurement_model.effects import Component
 from goniotwin.app.campaign.measurement_model.quantity import NONE
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.lit_hole import in_one_line
-from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.reading_inputs import Numbers
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
@@ -307,7 +307,13 @@ def reflectance(settings: ReductionSettings, name: str, points: BsdfPoints, sett
     total = float(np.sum(rule.weight * value))
     about: list[str] = []
     if total:
-        parts = (("obstructed directions", rule.obstructed), ("directions beyond the outermost ring", rule.extrapolated))
+        tally = Tally()
+        tally.add(here)
+        missing = f" ({tally.missing_in_words})" if tally.missing else ""
+        parts = (
+            (f"directions without a trusted value{missing}", rule.obstructed),
+            ("directions beyond the outermost ring", rule.extrapolated),
+        )
         about += [f"{100.0 * abs(np.sum(part * value) / total):.2f} % of it is of {title}" for title, part in parts]
     kind = "transmittance" if setting.transmitted else "reflectance"
     return Budget(

@@ -40,6 +40,8 @@ Outcome = Literal["holds", "warns", "fails", "nothing to judge"]
 NOTHING: Outcome = "nothing to judge"
 MOST_U = 2.0
 """A reflectance above 1 by so many standard uncertainties is not possible."""
+MOST_NOT_MEASURED = 0.1
+"""Share of the energy in directions without a trusted value, and beyond the last ones, above which a verdict warns."""
 MOST_TOGETHER = 500
 """Pairs whose full covariance is used; of more, so many are taken evenly."""
 MOST_PAIRS_AT_ONCE = 5_000
@@ -236,19 +238,28 @@ class _Sample:
         return Verdict(name, "holds", text, {"median_share": median, "largest_share": largest})
 
     def _directions(self) -> Verdict:
-        blocked, measured = self.tally.flagged["shadowed"], self.tally.directions
-        figures: dict[str, Any] = {"blocked": blocked, "directions": measured}
-        text = f"{blocked} of {measured} directions are blocked by the mirror unit"
-        if self._parts:
-            total, obstructed, extrapolated = np.sum(self._parts, axis=0).tolist()
-            if total > 0.0:
-                figures |= {"obstructed_energy": obstructed / total, "extrapolated_energy": extrapolated / total}
-                text += (
-                    f"; {100.0 * abs(obstructed / total):.2f} % of the energy is interpolated there, "
-                    f"{100.0 * abs(extrapolated / total):.2f} % is "
-                    "beyond the last directions"
-                )
-        return Verdict(f"obstructed directions of {self._name}", "holds", text, figures)
+        name, missing, measured = f"missing directions of {self._name}", self.tally.missing, self.tally.directions
+        figures: dict[str, Any] = {"missing": missing, "directions": measured}
+        text = (
+            f"{sum(missing.values())} of {measured} directions have no trusted value: {self.tally.missing_in_words}"
+            if missing
+            else f"all {measured} directions have a trusted value"
+        )
+        total, interpolated, extrapolated = np.sum(self._parts, axis=0).tolist() if self._parts else (0.0, 0.0, 0.0)
+        if total <= 0.0:
+            return Verdict(name, NOTHING, f"{text}; no half sphere has been measured, so the energy there is unknown", figures)
+        interpolated, extrapolated = abs(interpolated / total), abs(extrapolated / total)
+        figures |= {"interpolated_energy": interpolated, "extrapolated_energy": extrapolated}
+        text += (
+            f"; {100.0 * interpolated:.2f} % of the energy is interpolated there, {100.0 * extrapolated:.2f} % is beyond the "
+            "last directions"
+        )
+        if "clipped" in missing:  # whatever is interpolated over a peak is less than the peak
+            return Verdict(name, "warns", f"{text}; saturated directions have more than that", figures)
+        if interpolated + extrapolated > MOST_NOT_MEASURED:
+            limit = f"{100.0 * MOST_NOT_MEASURED:g} %"
+            return Verdict(name, "warns", f"{text}: more than {limit} of the energy is not measured", figures)
+        return Verdict(name, "holds", text, figures)
 
 
 def reciprocal_pairs(points: BsdfPoints, symmetry: StatedSymmetry) -> tuple[Ints, Ints]:

@@ -16,6 +16,7 @@ from goniotwin.app.campaign.measurement_model.effects import Component
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies import verification
 from goniotwin.app.campaign.studies.budget import (
     Line,
     budget_of_reflectance,
@@ -233,6 +234,30 @@ def test_the_small_components_are_listed_where_asked_for(measure: Measure, monke
         assert "photodiode_across_deg" in whole
         assert "smaller ones" not in whole
         assert all(len(line) <= int(columns) for line in whole.splitlines()[2:])
+
+
+def test_missing_directions_are_counted_by_their_reason(measure: Measure) -> None:
+    """The peak of a narrow lobe is saturated at the gain of this schedule."""
+    peak = (HALF_SPHERE[0], HALF_SPHERE[1], ("gains_v_per_a = [1e8, 1e10]", "gains_v_per_a = [1e11]"))
+    found = verdicts(path := measure(peak))["missing directions"]
+    assert found.verdict == "warns"
+    assert found.figures["missing"] == {"shadowed": 1, "clipped": 3}
+    reasons = "1 is blocked by the mirror unit, 3 are saturated at every gain"
+    assert f"4 of 90 directions have no trusted value: {reasons}; " in found.text
+    assert found.text.endswith("saturated directions have more than that")
+    with Journal.open(path) as journal:
+        about = budget_of_reflectance(evaluate_journal(journal).reduction, parse_place("sigma=30")).about
+    assert f"of directions without a trusted value ({reasons})" in about[0]
+
+
+@pytest.mark.parametrize(("share", "verdict"), [(0.1, "holds"), (1e-4, "warns")])
+def test_missing_directions_warn_by_their_energy(
+    share: float, verdict: str, measure: Measure, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(verification, "MOST_NOT_MEASURED", share)
+    found = verdicts(measure(HALF_SPHERE, PAINT))["missing directions"]
+    assert found.verdict == verdict
+    assert found.figures["missing"].keys() == {"shadowed"}
 
 
 def test_a_cut_has_no_reflectance(measure: Measure) -> None:
