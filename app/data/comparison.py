@@ -28,7 +28,7 @@ from goniotwin.app.data.interpolation import direction_grid, interpolated
 from goniotwin.app.data.opening import open_dataset, sample_of_points
 from goniotwin.app.data.values import EQUAL, LightSetting, SampleData, as_numbers, flag, quoted, with_names
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats.content import ABSENT, ScatteredBsdf, flagged
+from goniotwin.app.formats.content import ABSENT, UNTRUSTED, ScatteredBsdf, flagged
 from goniotwin.app.formats.file import StrPath
 from goniotwin.app.rig import RigDescription
 from goniotwin.app.rig.samples import GaussianTable, parse_sample
@@ -226,6 +226,7 @@ def compare(
     if not found:
         raise UserError(f"{a.name} and {b.name}: {_nothing_in_common(one, other, grey=grey)}")
     notes = [
+        *_untrusted(one, other),
         *_notes(one, other, found),
         *([f"not compared, because the second has no values there: {'; '.join(left_out)}"] if left_out else []),
     ]
@@ -553,6 +554,16 @@ def _quadratic(covariance: Floats, difference: Floats) -> tuple[float, int]:
     kept = eigenvalues > LEAST_EIGENVALUE * eigenvalues[-1]
     along = vectors[:, kept].T @ (difference / scale)
     return float(np.sum(along**2 / eigenvalues[kept])), int(kept.sum())
+
+
+def _untrusted(one: SampleData, other: SampleData) -> Iterator[str]:
+    """The numbers of directions that are flagged as not to be trusted: the peak of a lobe may be among them."""
+    for title, data in (("first", one), ("second", other)):
+        texts = np.asarray(data.values.flags).tolist()
+        counts = Counter(name for text in texts if (name := next((each for each in text.split() if each in UNTRUSTED), "")))
+        if counts:
+            by_flag = ", ".join(f"{count} {name}" for name, count in counts.most_common())
+            yield f"the {title}: {counts.total()} of {len(texts)} directions are left out, because they are not trusted: {by_flag}"
 
 
 def _notes(one: SampleData, other: SampleData, found: Sequence[LightComparison]) -> Iterator[str]:

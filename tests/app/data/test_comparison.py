@@ -133,6 +133,17 @@ def test_what_the_second_does_not_have_is_left_out_in_words() -> None:
         goniotwin.compare(dataset_of(at(30.0)), dataset_of(at(0.0)))
 
 
+def test_directions_that_are_not_trusted_are_counted_by_flag() -> None:
+    part = rings(lambertian(1.0), 30.0, np.array([10.0, 20.0]), np.array([0.0, 180.0]))
+    lost = replace(part, flags=np.array(["clipped", "shadowed clipped", "", "clipped under-range"]))
+    dim = replace(part, flags=np.array(["shadowed", "under-range", "", ""]))
+    result = goniotwin.compare(dataset_of(lost), dataset_of(dim))
+    assert result.notes[:2] == (
+        "the first: 3 of 4 directions are left out, because they are not trusted: 2 clipped, 1 shadowed",
+        "the second: 1 of 4 directions are left out, because they are not trusted: 1 shadowed",
+    )
+
+
 def test_the_notes_on_uncertainties_do_not_contradict_each_other() -> None:
     part = rings(lambertian(1.0), 30.0, np.array([10.0, 20.0]), np.array([0.0, 180.0]), u=0.01)
     none = replace(part, u=np.full(part.size, np.nan))
