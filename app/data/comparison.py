@@ -10,9 +10,11 @@ Chi-square has the covariance of all values of a light: a common error of the sc
 """
 
 import math
+import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -54,6 +56,17 @@ SHADOWED = "shadowed"
 """Flag of a direction that the mirror unit blocks."""
 MOST_LISTED = 4
 """Lights that a message names."""
+
+
+THEORY = "theory"
+"""The model of a virtual rig's sample."""
+MODEL = re.compile(r"[a-z-]+(:|$)")
+"""The beginning of a model's text, as `simulate sample` takes it; THEORY is one too."""
+
+
+def is_model(name: str) -> bool:
+    """Whether a name is that of a model: a text that is no file."""
+    return MODEL.match(name) is not None and not Path(name).exists()
 
 
 @dataclass(frozen=True)
@@ -212,6 +225,10 @@ def compare(
     theta to twice the width of the lobe, in the plane of incidence. Raises GoniotwinError for what cannot be opened, for
     several samples, and where the two have no light or no direction in common.
     """
+    for each in (first, second):
+        if isinstance(each, str) and is_model(each):
+            model = "" if each == THEORY else f", {each!r}"
+            raise UserError(f"{each}: there is no such file; for the BSDF of a model give goniotwin.theory(d{model})")
     a, b = (each if isinstance(each, Dataset) else open_dataset(each) for each in (first, second))
     limits = _range(theta_deg, polar_deg, least_share, in_plane)
     one, other = a.only, b.only

@@ -1,21 +1,16 @@
 """The comparison of two BSDFs."""
 
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from goniotwin.app.cli.output import answer
 from goniotwin.app.cli.work.plot import dataset_of
-from goniotwin.app.data.comparison import compare, theory
+from goniotwin.app.data.comparison import THEORY, compare, is_model, theory
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.plotting import plot_comparison
 from goniotwin.app.errors import UserError
 from goniotwin.app.figures.matplotlib_figure import check_picture, save_figure
-
-THEORY = "theory"
-MODEL = re.compile(r"[a-z-]+(:|$)")
-"""The beginning of a model's text, as `simulate sample` takes it; THEORY is one too."""
 
 
 def compare_pair(
@@ -44,7 +39,7 @@ def _pair(first: str, second: str, samples: list[str]) -> tuple[Dataset, Dataset
     if len(samples) > 2:
         raise UserError("--sample: may be given twice, for one sample of A and one of B")
     of_first, of_second = (samples * 2)[:2] if samples else (None, None)
-    models = [MODEL.match(each) is not None and not Path(each).exists() for each in (first, second)]
+    models = [is_model(each) for each in (first, second)]
     if all(models):
         raise UserError(f"{first} and {second}: one of them has to be a journal or a file, whose directions are compared")
     if models[0]:

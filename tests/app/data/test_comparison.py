@@ -244,6 +244,15 @@ def test_a_range_that_is_none_is_refused(arguments: dict[str, Any], message: str
         goniotwin.compare(d, d, **arguments)
 
 
+@pytest.mark.parametrize(
+    ("name", "remedy"), [("theory", r"theory\(d\)"), ("gaussian:width_deg=5", r"theory\(d, 'gaussian:width_deg=5'\)")]
+)
+def test_the_name_of_a_model_points_to_its_theory(name: str, remedy: str) -> None:
+    d = dataset_of(rings(lambertian(1.0), 0.0, POLAR, AZIMUTH))
+    with pytest.raises(goniotwin.GoniotwinError, match=rf"{name}: there is no such file.* goniotwin\.{remedy}"):
+        goniotwin.compare(d, name)
+
+
 def test_what_has_no_theory_is_refused(dataset: goniotwin.Dataset) -> None:
     d = dataset_of(rings(lambertian(1.0), 0.0, POLAR, AZIMUTH))
     with pytest.raises(goniotwin.GoniotwinError, match="is not one of a virtual rig"):
