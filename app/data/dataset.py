@@ -408,10 +408,12 @@ class Dataset:
         if shape:
             return ValueWithU(values.reshape(shape), u.reshape(shape), "1/sr")
         if math.isnan(values[0]):
-            polar, _ = zenith_and_azimuth(from_specular(sigma, theta, phi))
             where = f"theta {float(theta):g}, phi {float(phi):g}"
-            if polar > 90.0 + TOLERANCE_DEG:
-                raise UserError(f"{where}: is below the horizon at sigma {sigma:g} deg; give another direction")
+            for each in dict.fromkeys((sigma, *(light.sigma_deg for light, _ in lights))):
+                polar, _ = zenith_and_azimuth(from_specular(each, theta, phi))
+                if polar > 90.0 + TOLERANCE_DEG:
+                    why = "" if each == sigma else f", which the values at sigma {sigma:g} deg are interpolated from"
+                    raise UserError(f"{where}: is below the horizon at sigma {each:g} deg{why}; give another direction")
             near = nearest_directions(data, [light for light, _ in lights], float(theta), float(phi))
             if all(direction_grid(data, light) is None for light, _ in lights):
                 why = "its directions are neither on rings nor on a grid, so there is no interpolation between them"

@@ -96,6 +96,14 @@ def test_where_there_are_no_values_around_it_names_the_nearest() -> None:
     assert np.isfinite(several.value).tolist() == [True, True, False]
 
 
+def test_between_two_incidences_it_names_the_one_at_which_the_direction_is_below_the_horizon() -> None:
+    polar, azimuth = np.arange(0.0, 86.0, 5.0), np.arange(0.0, 181.0, 10.0)
+    d = dataset(*(rings(lambertian(1.0), sigma, polar, azimuth) for sigma in (30.0, 60.0)))
+    why = "below the horizon at sigma 60 deg, which the values at sigma 45 deg are interpolated from"
+    with pytest.raises(goniotwin.GoniotwinError, match=f"theta 44, phi 180: is {why}"):
+        d.at(sigma_deg=45.0, theta_deg=44.0, phi_deg=180.0)
+
+
 @pytest.mark.parametrize("flag", ["clipped", "shadowed"])
 def test_over_a_saturated_peak_or_a_blocked_direction_there_is_no_value(flag: str) -> None:
     """The value there may be anything: the neighbours do not show it. Further away the same values stand."""
