@@ -580,7 +580,8 @@ def _untrusted(one: SampleData, other: SampleData) -> Iterator[str]:
         counts = Counter(name for text in texts if (name := next((each for each in text.split() if each in UNTRUSTED), "")))
         if counts:
             by_flag = ", ".join(f"{count} {name}" for name, count in counts.most_common())
-            yield f"the {title}: {counts.total()} of {len(texts)} directions are left out, because they are not trusted: {by_flag}"
+            total = f"{counts.total()} of {len(texts)} directions"
+            yield f"the {title}: {total} are left out, because they are not trusted: {by_flag}"
 
 
 def _notes(one: SampleData, other: SampleData, found: Sequence[LightComparison]) -> Iterator[str]:

@@ -192,6 +192,9 @@ def with_names(function: Callable[P, R]) -> Callable[P, R]:
             except TypeError as error:
                 names = ", ".join(name for name in own.parameters if name != "self")
                 what = str(error).replace("got an unexpected keyword argument", "there is no argument")
+                by_name = [f"{each.name}=..." for each in own.parameters.values() if each.kind is each.KEYWORD_ONLY]
+                if by_name and "too many positional" in what:
+                    what = f"name the arguments, as in {function.__name__}({', '.join(by_name[:2])})"
                 raise UserError(f"{function.__name__.removesuffix('_dataset')}: {what}; it takes {names}") from None
             raise
 

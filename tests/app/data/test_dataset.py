@@ -155,7 +155,9 @@ def test_what_cannot_be_selected_is_refused(dataset: goniotwin.Dataset, argument
     ("call", "message"),
     [
         (lambda d: d.select(sigma=30), r"select: there is no argument 'sigma'; it takes wavelength_nm, channel, sigma_deg, .*"),
-        (lambda d: d.select(30), "select: too many positional arguments; it takes"),
+        (lambda d: d.select(30), r"select: name the arguments, as in select\(wavelength_nm=\.\.\., channel=\.\.\.\); it takes"),
+        (lambda d: d.at(30, 12, 0), r"at: name the arguments, as in at\(theta_deg=\.\.\., phi_deg=\.\.\.\); it takes theta"),
+        (lambda _: PUBLIC.theory(1, 2, 3), "theory: too many positional arguments; it takes dataset, sample"),
         (lambda d: d.at(theta=3), "at: there is no argument 'theta'"),
         (lambda d: d.reflectance(angle=3), "reflectance: there is no argument 'angle'"),
         (lambda d: d.where(), "where: missing a required argument: 'chosen'"),
