@@ -279,6 +279,18 @@ def main() -> None:
     sys.exit(status)
 
 
+def usage_message(error: TyperException) -> str:
+    """The message for arguments that typer refuses, with the help of the command they were given to."""
+    text = error.format_message().replace("Value error, ", "").removesuffix(".")
+    parameter = getattr(error, "param", None)
+    if getattr(parameter, "multiple", False):
+        text += f"; for several values repeat the option: {parameter.opts[0]} A {parameter.opts[0]} B"
+    words, context = ["--help"], getattr(error, "ctx", None)
+    while context is not None and context.parent is not None:
+        words, context = [context.info_name, *words], context.parent
+    return f"{text}{'' if text.endswith('?') else '.'} See: goniotwin {' '.join(words)}"
+
+
 def run_command() -> int:
     """The exit status of the command."""
     try:
@@ -291,7 +303,7 @@ def run_command() -> int:
         print_error("stopped")
         return INTERRUPTED
     except TyperException as error:
-        print_error(f"{error.format_message().replace('Value error, ', '')} See: goniotwin --help")
+        print_error(usage_message(error))
         return 2
     except UserError as error:
         print_error(error)

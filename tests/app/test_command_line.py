@@ -13,7 +13,7 @@ import platformdirs
 import pytest
 
 from goniotwin.app.campaign.running.events import Event, RowStarted
-from goniotwin.app.cli.main import COMMANDS, INTERRUPTED, app, main
+from goniotwin.app.cli.main import COMMANDS, INTERRUPTED, app, main, run_command
 from goniotwin.app.cli.work import device_search
 from goniotwin.app.cli.work.row_progress import RowProgress
 from goniotwin.drivers import DeviceError, Rig
@@ -193,6 +193,26 @@ def test_a_table_is_simulated_without_what_draws(tmp_path: Path) -> None:
     command = [sys.executable, "-c", TABLE, *sample]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            "plot a --out a.png --sigma 30,60",
+            "unable to parse string as a number; for several values repeat the option: --sigma A --sigma B. "
+            "See: goniotwin plot --help\n",
+        ),
+        ("simulate sample --zzz", "No such option: --zzz. See: goniotwin simulate sample --help\n"),
+        ("plott", "No such command 'plott'. Did you mean 'plot'? See: goniotwin --help\n"),
+    ],
+)
+def test_arguments_that_do_not_parse_point_to_the_help_of_their_command(
+    arguments: str, message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["goniotwin", *arguments.split()])
+    assert run_command() == 2
+    assert capsys.readouterr().err.endswith(message)
 
 
 def test_ctrl_c_in_a_command_is_one_line_and_status_130(

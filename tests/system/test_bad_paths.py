@@ -6,6 +6,7 @@ The commands and their paths are those of the command line itself: a new one wit
 import inspect
 import multiprocessing
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -58,7 +59,7 @@ class Case:
         lines = [line for line in lines if not line.startswith("goniotwin: preparing the virtual rig of")]  # a note
         named = str(path.parent if self.out else path)  # a full disk is that of the folder
         proper = len(lines) == 1 and "unexpected error" not in lines[0] and named in lines[0]
-        proper = proper and ("; " in lines[0] or "See: goniotwin --help" in lines[0])
+        proper = proper and ("; " in lines[0] or re.search(r"\. See: goniotwin .*--help$", lines[0]) is not None)
         good = proper and done.returncode == UserError.status
         return "" if good else f"{self.command} {self.arguments}: {path}: {done.returncode} {done.stderr}"
 
