@@ -131,8 +131,8 @@ def budget(
         typer.Option(
             "--at",
             metavar="PLACE",
-            help="Direction: sigma=30,zenith=35,azimuth=180, or theta and phi. Add sample, wavelength, gamma, light or "
-            "photodiode if the journal has several.",
+            help="Direction: sigma=30,zenith=35,azimuth=180, or theta and phi. With --reflectance: sigma=30. Add sample, "
+            "wavelength, gamma, light or photodiode if the journal has several.",
             show_default=False,
         ),
     ],

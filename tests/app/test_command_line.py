@@ -204,6 +204,11 @@ def test_a_table_is_simulated_without_what_draws(tmp_path: Path) -> None:
             "See: goniotwin plot --help\n",
         ),
         ("simulate sample --zzz", "No such option: --zzz. See: goniotwin simulate sample --help\n"),
+        (
+            "budget a.journal --reflectance",
+            "Missing option '--at': Direction: sigma=30,zenith=35,azimuth=180, or theta and phi. With --reflectance: sigma=30. "
+            "Add sample, wavelength, gamma, light or photodiode if the journal has several. See: goniotwin budget --help\n",
+        ),
         ("plott", "No such command 'plott'. Did you mean 'plot'? See: goniotwin --help\n"),
     ],
 )
