@@ -7,6 +7,7 @@ bench, setup, run, campaigns, events, tolerances) and a line in `SCREENS` of the
 """
 
 import contextlib
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,12 +19,24 @@ from goniotwin.app.desktop.event_loop import end_signal_notifier
 from goniotwin.app.desktop.remembered import Remembered
 from goniotwin.app.desktop.theme import Theme as Theme
 from goniotwin.app.desktop.window import MainWindow as MainWindow
+from goniotwin.app.errors import UserError
 
 if TYPE_CHECKING:
     from goniotwin.app.desktop.model.connection import Stations
 
+DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
+"""Variables one of which Qt needs on Linux; the last one may name a platform without a display."""
 STOPPED = 130
 """Exit status after Ctrl-C: 128 + SIGINT, as of a shell."""
+
+
+def check_display() -> None:
+    """Raise UserError where Linux has no display: Qt then ends the process with a text of its own."""
+    if sys.platform == "linux" and not any(os.environ.get(name) for name in DISPLAYS):
+        raise UserError(
+            "the window needs a display, and DISPLAY and WAYLAND_DISPLAY are not set; start it in a desktop session or through "
+            "ssh -X, or use the commands: goniotwin --help"
+        )
 
 
 def run_desktop(
@@ -42,9 +55,11 @@ def run_desktop(
     Ctrl-C in the terminal, SIGTERM and SIGHUP close the window without a question; a run goes on in its station. The exit
     status is then 130, as for the other commands. The safety orders that are not acknowledged are the last lines on standard
     error.
+    Raises UserError where there is no display.
     """
     application = QApplication.instance()
     if not isinstance(application, QApplication):
+        check_display()
         application = QApplication(["goniotwin"])
     application.setApplicationName("goniotwin")
     remembered = Remembered.of_user()

@@ -18,7 +18,7 @@ from goniotwin.app.cli.work import device_search
 from goniotwin.app.cli.work.row_progress import RowProgress
 from goniotwin.drivers import DeviceError, Rig
 from tests.conftest import REPOSITORY, RIG, SCHEDULE, Writer
-from tests.system.command import invoke
+from tests.system.command import goniotwin, invoke
 
 HEAVY = ("numpy", "numba", "PySide6", "matplotlib", "h5py", "rich")
 """What the help of a command does without."""
@@ -218,6 +218,16 @@ def test_arguments_that_do_not_parse_point_to_the_help_of_their_command(
     monkeypatch.setattr(sys, "argv", ["goniotwin", *arguments.split()])
     assert run_command() == 2
     assert capsys.readouterr().err.endswith(message)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems always have a display")
+def test_without_a_display_the_window_is_one_line_and_status_2(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
+        monkeypatch.delenv(name, raising=False)
+    done = goniotwin()
+    assert done.returncode == 2
+    assert done.stderr.startswith("goniotwin: the window needs a display, and DISPLAY and WAYLAND_DISPLAY are not set; ")
+    assert done.stderr.count("\n") == 1
 
 
 def test_ctrl_c_in_a_command_is_one_line_and_status_130(
