@@ -60,7 +60,6 @@ SYMBOLS: dict[Symbol, str] = {
 LINES = {"solid": "-", "dashed": "--", "dotted": ":", "none": "None"}
 LETTERS_AN_INCH, MOST_LETTERS = 12.0, 100
 """Of a title, and of a line above a legend."""
-MOST_DOTS = 2000
 MOST_RINGS = 5
 """Labelled circles of a polar diagram."""
 SIMULATED_STYLE: dict[str, Any] = {"color": PAPER.bad, "weight": "bold", "fontsize": 11}
@@ -468,8 +467,6 @@ def _draw_disc(axes: Axes, drawn: Map) -> None:
     _draw_surface(
         axes, np.tile(x, twice), image, drawn.bar.scale.placed(np.tile(drawn.values, twice)), np.tile(trusted, twice), drawn.bar
     )
-    if x.size <= MOST_DOTS:
-        axes.plot(x[trusted], y[trusted], ".", ms=MARKS["direction"].size, color="black", alpha=0.35, mew=0, zorder=3)
     if not trusted.all():
         axes.plot(x[~trusted], y[~trusted], "x", ms=2.0, mew=0.5, color=DISC.blocked, zorder=3)
     for radius in RINGS_DEG:

@@ -17,7 +17,6 @@ MarkKind = Literal[
     "alarm below",
     "light",
     "specular",
-    "direction",
 ]
 Role = Literal["base", "text", "dim", "line", "bad", "points", "blocked", "predicted"]
 
@@ -83,9 +82,8 @@ MARKS: dict[MarkKind, MarkStyle] = {
     "alarm below": MarkStyle("triangle down", 6.0, True, "bad"),
     "light": MarkStyle("star", 10.0, True, "#ffd24d"),
     "specular": MarkStyle("plus", 10.0, False, "#ff8c69"),
-    "direction": MarkStyle("dot", 1.0, True, "#000000"),
 }
-"""The marks of all figures: values with their flags, and directions of a map. Light and specular direction have a dark edge."""
+"""The marks of all figures: values with their flags. Light and specular direction have a dark edge."""
 
 DISC = Palette(
     base="#15171b",

@@ -220,6 +220,13 @@ def test_either_half_of_an_isotropic_sample_is_drawn_with_its_image() -> None:
         assert not is_half(around + 40.0)
 
 
+def test_a_map_has_no_marks_at_its_measured_directions() -> None:
+    """Dots along the measured half planes look like seams, and the mirrored half has none."""
+    disc = plot(made(rings(lambertian(0.6), 30.0, RINGS, ROUND)), "hemisphere").axes[0]
+    marked = [line for line in disc.lines if line.get_marker() not in ("None", "", None)]
+    assert sorted(str(line.get_marker()) for line in marked) == ["*", "+"]  # light and specular direction
+
+
 def test_normal_incidence_is_drawn_whatever_its_azimuth() -> None:
     polar, around = np.arange(0.0, 90.0, 10.0), np.arange(0.0, 360.0, 30.0)
     oblique, normal = (rings(lambertian(0.5), sigma, polar, around, isotropic=False) for sigma in (20.0, 0.0))
