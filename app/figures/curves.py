@@ -1,6 +1,6 @@
 """Curves of values with their intervals: gaps, values lost in their noise, those below the scale, those not to be trusted.
 
-On a logarithmic scale a curve is a line where it is above its noise, and a dot for each value that is lost in it; what is below
+A curve is a line where it is above its noise, and a dot for each value that is lost in it. On a logarithmic scale what is below
 the lower edge is an open triangle on it, and bands are cut off there. Values that are not to be trusted are no part of the
 curve: it has a gap there, and each has a grey mark, a ring if the mirror unit blocks it and a cross for any other reason.
 """
@@ -49,8 +49,8 @@ def quantity(transmitted: bool | None, back: bool = False) -> str:
 class Curve:
     """Values with the ends of their intervals, arrays (n,) in the order of `x`, with gaps of NaN.
 
-    `lost` are below their detection limit: by the flag, or because the interval reaches zero. `apart` are the values that are
-    not to be trusted, by the kind of their mark: x and y.
+    `lost` are below their detection limit, by the flag, or below their expanded uncertainty: no line joins them. `apart` are the
+    values that are not to be trusted, by the kind of their mark: x and y.
     """
 
     x: Floats
@@ -107,13 +107,12 @@ def curve_parts(
     bars: bool = False,
 ) -> tuple[Series, list[Marks]]:
     """A curve on a scale: its line with the band, and the marks of what is lost, below, or not to be trusted."""
-    lost = found.lost & scale.log
     below = scale.below(found.y)
     if np.isfinite(found.y).sum() > MOST_MARKED or broad:
         symbol = None
     series = Series(
         found.x,
-        np.where(lost | below, np.nan, found.y),
+        np.where(found.lost | below, np.nan, found.y),
         colour,
         name,
         scale.placed(found.lower),
@@ -123,7 +122,7 @@ def curve_parts(
         broad,
         bars,
     )
-    dots = lost & ~below
+    dots = found.lost & ~below
     marks = [Marks("lost", found.x[dots], found.y[dots], colour)]
     marks += [Marks("below", found.x[below], np.full(int(below.sum()), scale.floor), colour)]
     ends = scale.limits(found.lower, found.upper)

@@ -105,7 +105,8 @@ def curve(dataset: Dataset, x: Floats, widest: float = WIDEST_GAP_DEG) -> Curve:
         dataset.bsdf,
         band(dataset),
         good=dataset.good,
-        lost=flagged(dataset.flags, {"under-range"}),
+        # A logarithmic interval never reaches zero, however large u is.
+        lost=flagged(dataset.flags, {"under-range"}) | np.asarray(dataset.bsdf <= COVERAGE * dataset.u),
         blocked=flagged(dataset.flags, {"shadowed"}),
         widest=widest,
     )

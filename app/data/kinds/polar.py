@@ -23,6 +23,7 @@ from goniotwin.app.figures.curves import curve_parts, distinct
 from goniotwin.app.figures.description import Arrow, Axis, Figure, Panel
 from goniotwin.app.figures.scale import ROOM
 from goniotwin.app.figures.style import CURVE_COLOURS
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG
 
 
@@ -34,13 +35,13 @@ def describe(dataset: Dataset, log: bool | None) -> Figure:
     plane = plane.where(np.isin(np.round(plane.sigma_deg, 6), shown))
     scale = scale_for(plane, log)
     through = bool((plane.transmitted & plane.good).any())
-    series, named = [], set()
+    series, dots, named = [], [], set()
     arrows: dict[float, Arrow] = {}
     for sigma, colour in zip(shown, CURVE_COLOURS, strict=False):
         for back, transmitted, here in sides(at_sigma(plane, sigma)):
             name = "" if (back, sigma) in named else f"sigma {sigma:g} deg{' on the back' if back else ''}"
             named.add((back, sigma))
-            line, _ = curve_parts(
+            line, marks = curve_parts(
                 curve(here, abscissa(here)), scale, colour, name, "circle", line="dashed" if back else "solid"
             )
             assert line.lower is not None
@@ -48,12 +49,15 @@ def describe(dataset: Dataset, log: bool | None) -> Figure:
             series.append(
                 replace(
                     line,
-                    x=np.radians(HALF_TURN_DEG - line.x if transmitted else line.x),
+                    x=_angle(line.x, transmitted),
                     y=scale.radius(line.y),
                     lower=scale.radius(line.lower),
                     upper=scale.radius(line.upper),
                 )
             )
+            dots += [
+                replace(each, x=_angle(each.x, transmitted), y=scale.radius(each.y)) for each in marks if each.kind == "lost"
+            ]
             arrows.setdefault(sigma, Arrow(-sigma, colour))
     around = range(0, 360, 30)
     own = [each if each <= 90 else 180 - each if each < 270 else each - 360 for each in around]
@@ -62,6 +66,7 @@ def describe(dataset: Dataset, log: bool | None) -> Figure:
         scale=scale,
         projection="polar",
         series=tuple(series),
+        marks=tuple(dots),
         arrows=tuple(arrows.values()),
         angles=tuple((float(at), f"{each}°") for at, each in zip(around, own, strict=True)) if through else (),
     )
@@ -69,3 +74,8 @@ def describe(dataset: Dataset, log: bool | None) -> Figure:
     about = about_curves([plane], scale, some, below="below the scale")
     legend = f"{quantity_of(plane)}; {'transmitted light below; ' if through else ''}arrows: the light; {about}"
     return figure_of(plane, [panel], (7.5, 8.0 if through else 4.9), legend=legend)
+
+
+def _angle(x_deg: Floats, transmitted: bool) -> Floats:
+    """The angle of a polar panel, radians; transmitted light is below."""
+    return np.radians(HALF_TURN_DEG - x_deg if transmitted else x_deg)

@@ -65,8 +65,6 @@ def cut_panel(cut: Cut, of: dict[MarkKind, Flags], kind: ScaleKind) -> Panel:
         "steep": steep,
         "alarm": on_scale & cut.alarms,
     }
-    if not scale.log:
-        chosen["lost"] = of["lost"]
     marks += [Marks(each, points.x_deg[which], points.values[which]) for each, which in chosen.items() if which.any()]
     parts.append((bars, marks))
     spans = tuple(Span(low, high) for low, high in scan.blocked_deg)

@@ -125,6 +125,19 @@ def test_a_curve_has_gaps_where_no_value_is_trusted_and_where_directions_are_far
     assert [(kind, x.tolist()) for kind, x, _ in found.apart] == [("blocked", [15.0])]
 
 
+@pytest.mark.parametrize("kind", ["cuts", "polar"])
+@pytest.mark.parametrize("log", [False, True])
+def test_values_below_the_detection_limit_or_u_are_dots_without_the_line(kind: Any, log: bool) -> None:
+    one = rings(lambertian(0.6), 30.0, np.arange(10.0, 31.0, 5.0), np.array([180.0]), u=0.01)
+    flags, laws = np.array(["", "under-range", "", "", ""]), np.full(5, "logarithmic")
+    u = np.where(np.arange(5) == 3, 0.7, 0.01) * one.values
+    (axes,) = plot(made(replace(one, flags=flags, u=u, interval=laws)), kind, log=log).axes
+    curve, *dots = axes.lines
+    assert np.isnan(np.asarray(curve.get_ydata(), dtype=float)).tolist() == [False, True, False, True, False]
+    at = np.concatenate([np.asarray(each.get_xdata(), dtype=float) for each in dots if each.get_marker() == "."])
+    np.testing.assert_allclose(np.degrees(at) if kind == "polar" else at, [15.0, 25.0])
+
+
 def test_simulated_values_are_marked_in_every_picture() -> None:
     for kind in KINDS:
         assert SIMULATED in texts(plot(two_wavelengths(generated=True), kind))
