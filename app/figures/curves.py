@@ -23,6 +23,13 @@ GAP_DEG, WIDEST_GAP_DEG = 6.0, 30.0
 """A curve ends where neighbours are further apart than the first and than four times most of them are, or than the second."""
 MOST_MARKED = 60
 """Values of a curve that each have a mark."""
+MEANINGS: dict[MarkKind, str] = {
+    "lost": "below the detection limit, or below U",
+    "below": "below the scale",
+    "blocked": "blocked by the mirror unit",
+    "untrusted": "not trusted",
+}
+"""The meaning of the marks of curves, for a legend."""
 POSITIVE = "positive: specular side"
 ANGLE_TICKS = tuple(float(each) for each in range(-90, 91, 10))
 ANGLE_LIMITS = (-90.0, 90.0)
@@ -49,8 +56,8 @@ def quantity(transmitted: bool | None, back: bool = False) -> str:
 class Curve:
     """Values with the ends of their intervals, arrays (n,) in the order of `x`, with gaps of NaN.
 
-    `lost` are below their detection limit, by the flag, or below their expanded uncertainty: no line joins them. `apart` are the
-    values that are not to be trusted, by the kind of their mark: x and y.
+    `lost` are below their detection limit, by the flag, or below their expanded uncertainty: no line joins them. `apart` are
+    the values that are not to be trusted, by the kind of their mark: x and y.
     """
 
     x: Floats
@@ -139,15 +146,26 @@ def curve_panel(
     *,
     title: str = "",
     legend: str = "",
+    reasons: str = "",
     guides: tuple[Guide, ...] = (),
     spans: tuple[Span, ...] = (),
 ) -> Panel:
-    """A panel of curves on one scale; a linear one has its zero, and negative values where there are some."""
+    """A panel of curves on one scale; a linear one has its zero, and negative values where there are some.
+
+    `reasons` are those of values that are not to be trusted, for the key of the marks.
+    """
     series = tuple(each for each, _ in parts)
     marks = tuple(each for _, several in parts for each in several)
     drawn = [each for one in series for each in (one.y, one.lower, one.upper) if each is not None]
     y = Axis(y_label, scale.limits(*drawn, *(each.y for each in marks)))
-    return Panel(x, y, scale, title=title, legend=legend, series=series, marks=marks, guides=guides, spans=spans)
+    key = key_of(marks, reasons)
+    return Panel(x, y, scale, title=title, legend=legend, key=key, series=series, marks=marks, guides=guides, spans=spans)
+
+
+def key_of(marks: Sequence[Marks], reasons: str = "") -> tuple[tuple[MarkKind, str], ...]:
+    """The meaning of the kinds of marks that there are; the one of values that are not to be trusted has the `reasons`."""
+    meanings = MEANINGS | ({"untrusted": reasons} if reasons else {})
+    return tuple((kind, meaning) for kind, meaning in meanings.items() if any(each.kind == kind for each in marks))
 
 
 def spread(count: int, most: int) -> list[int]:

@@ -117,7 +117,7 @@ class Arrow:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One pair of axes with what is drawn there; `legend` is the heading of its legend.
+    """One pair of axes with what is drawn there; `legend` is the heading of its legend, `key` its marks with their meaning.
 
     The angles of a polar panel are radians, clockwise from above; its radii are those of `Scale.radius`.
     """
@@ -128,6 +128,7 @@ class Panel:
     projection: Literal["rectangular", "polar", "disc"] = "rectangular"
     title: str = ""
     legend: str = ""
+    key: tuple[tuple[MarkKind, str], ...] = ()
     series: tuple[Series, ...] = ()
     marks: tuple[Marks, ...] = ()
     guides: tuple[Guide, ...] = ()

@@ -321,8 +321,11 @@ def _legend_above(
 
 
 def _common_legend(figure: mpl_figure.Figure, axes: list[Axes], description: Figure) -> None:
-    """The legend of the whole: of the curves of the first panel, above all."""
-    handles, labels = axes[0].get_legend_handles_labels()
+    """The legend of the whole: of the curves and marks of all panels, each once, above all."""
+    named = [pair for each in axes for pair in zip(*each.get_legend_handles_labels(), strict=True)]
+    first = {label: handle for handle, label in reversed(named)}
+    labels = list(dict.fromkeys(label for _, label in named))
+    handles = [first[label] for label in labels]
     style = LEGEND_STYLE
     if description.panels[0].projection == "polar":
         title = fill(description.legend, MOST_LETTERS)
@@ -374,6 +377,7 @@ def _draw_series(axes: Axes, each: Series, palette: Palette) -> None:
 
 
 def _draw_marks(axes: Axes, panel: Panel) -> None:
+    meanings = dict(panel.key)
     for each in panel.marks:
         style = MARKS[each.kind]
         colour = _colour(style.colour or each.colour, PAPER if panel.map is None else DISC)
@@ -400,6 +404,7 @@ def _draw_marks(axes: Axes, panel: Panel) -> None:
             mfc=face,
             mew=OPEN_WIDTH,
             clip_on=each.kind != "below",
+            label=meanings.pop(each.kind, "_nolegend_"),
             zorder=4,
         )
 

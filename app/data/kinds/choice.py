@@ -6,12 +6,13 @@ import numpy as np
 
 from goniotwin.app.campaign.reduction.components import COVERAGE as INTERVAL_U
 from goniotwin.app.campaign.reduction.components import DRAWN_LAW, LOGARITHMIC_LAW, interval
+from goniotwin.app.campaign.reduction.points import FLAGS
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.errors import UserError
 from goniotwin.app.figures.curves import COVERAGE, WIDEST_GAP_DEG, Curve, curve_of, plane_angle, quantity
 from goniotwin.app.figures.description import Figure, Panel
 from goniotwin.app.figures.scale import Scale, scale_of
-from goniotwin.app.formats.content import flagged
+from goniotwin.app.formats.content import UNTRUSTED, flagged
 from goniotwin.arrays import Floats
 
 MOST_CURVES, MOST_MAPS = 7, 6
@@ -112,19 +113,27 @@ def curve(dataset: Dataset, x: Floats, widest: float = WIDEST_GAP_DEG) -> Curve:
     )
 
 
+def reasons_of(drawn: Sequence[Dataset]) -> str:
+    """Why values that are drawn are not to be trusted, but those that the mirror unit blocks, in words."""
+    names = {name for each in drawn for text in each.flags.tolist() if "shadowed" not in text for name in text.split()}
+    return ", ".join(FLAGS[name].meaning if name in FLAGS else name for name in sorted(names & UNTRUSTED))
+
+
 def some_of(shown: int, there: int) -> str:
     """The words for incidences of which some are shown; empty for all of them."""
     return f"{shown} of {there} incidences" if shown < there else ""
 
 
-def about_curves(drawn: Sequence[Dataset], scale: Scale, more: str = "", *, below: str = "below the scale (triangles)") -> str:
+def about_curves(drawn: Sequence[Dataset], scale: Scale, more: str = "") -> str:
     """What bands and marks are, for the top of a legend; of the values that are drawn."""
     values, u = (np.concatenate([getattr(each, name)[each.good] for each in drawn]) for name in ("bsdf", "u"))
     parts = [f"bands: {_relative_u_text(values, u)}" if np.isfinite(u).any() else "no uncertainties"]
     parts += [more] if more else []
     if low := int(scale.below(values).sum()):
         negative = int((values <= 0.0).sum())
-        parts.append(f"{low} of {values.size} values are {below}{f', {negative} of them not above 0' if negative else ''}")
+        parts.append(
+            f"{low} of {values.size} values are below the scale{f', {negative} of them not above 0' if negative else ''}"
+        )
     return "; ".join(parts)
 
 

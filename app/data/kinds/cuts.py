@@ -10,6 +10,7 @@ from goniotwin.app.data.kinds.choice import (
     figure_of,
     in_plane,
     one_channel,
+    reasons_of,
     scale_for,
     sides,
     some_of,
@@ -46,6 +47,7 @@ def describe(dataset: Dataset, log: bool | None) -> Figure:
                 PLANE_AXIS,
                 quantity(transmitted, back),
                 legend=about_curves(drawn, scale, some_of(len(shown), len(list(distinct(there, there.size))))),
+                reasons=reasons_of(drawn),
                 guides=tuple(Guide(sigma, colour) for _, sigma, colour, _ in styles),
             )
         )

@@ -19,7 +19,7 @@ from goniotwin.app.data.kinds.choice import (
     sides,
     some_of,
 )
-from goniotwin.app.figures.curves import curve_parts, distinct
+from goniotwin.app.figures.curves import curve_parts, distinct, key_of
 from goniotwin.app.figures.description import Arrow, Axis, Figure, Panel
 from goniotwin.app.figures.scale import ROOM
 from goniotwin.app.figures.style import CURVE_COLOURS
@@ -67,11 +67,12 @@ def describe(dataset: Dataset, log: bool | None) -> Figure:
         projection="polar",
         series=tuple(series),
         marks=tuple(dots),
+        key=key_of(dots),
         arrows=tuple(arrows.values()),
         angles=tuple((float(at), f"{each}°") for at, each in zip(around, own, strict=True)) if through else (),
     )
     some = some_of(len(shown), len(list(distinct(there, there.size))))
-    about = about_curves([plane], scale, some, below="below the scale")
+    about = about_curves([plane], scale, some)
     legend = f"{quantity_of(plane)}; {'transmitted light below; ' if through else ''}arrows: the light; {about}"
     return figure_of(plane, [panel], (7.5, 8.0 if through else 4.9), legend=legend)
 

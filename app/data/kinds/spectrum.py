@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from goniotwin.app.data.dataset import Dataset
-from goniotwin.app.data.kinds.choice import about_curves, at_sigma, curve, figure_of, scale_for, sides
+from goniotwin.app.data.kinds.choice import about_curves, at_sigma, curve, figure_of, reasons_of, scale_for, sides
 from goniotwin.app.errors import UserError
 from goniotwin.app.figures.curves import curve_panel, curve_parts, quantity
 from goniotwin.app.figures.description import Axis, Figure
@@ -41,7 +41,8 @@ def describe(dataset: Dataset, log: bool | None) -> Figure:
             for each, colour, symbol in zip(drawn, CURVE_COLOURS, CURVE_SYMBOLS, strict=False)
         ]
         legend = f"sigma {sigma:g} deg; {about_curves(drawn, scale)}"
-        panels.append(curve_panel(parts, scale, Axis("wavelength, nm"), quantity(transmitted, back), legend=legend))
+        axis, of = Axis("wavelength, nm"), quantity(transmitted, back)
+        panels.append(curve_panel(parts, scale, axis, of, legend=legend, reasons=reasons_of(drawn)))
     return figure_of(dataset, panels, (8.0, 1.0 + 3.8 * len(panels)))
 
 

@@ -312,6 +312,23 @@ def test_values_that_are_not_to_be_trusted_have_grey_marks_at_their_place() -> N
     assert marks["x"].tolist() == [[15.0], [axes.get_ylim()[0]]]
 
 
+def test_the_marks_in_a_picture_have_a_key() -> None:
+    one = rings(lambertian(0.6), 30.0, np.arange(5.0, 31.0, 5.0), np.array([180.0]), u=0.01)
+    flags = np.array(["", "shadowed clipped", "clipped", "under-range", "", ""])
+    dim = replace(one, flags=flags, values=np.array([0.2, 0.1, np.nan, 1e-3, -1.0, 0.2]))
+    named = [
+        "below the detection limit, or below U",
+        "below the scale",
+        "blocked by the mirror unit",
+        "saturated at every gain",
+    ]
+    assert texts(plot(made(dim), log=True)).splitlines()[-5:] == ["sigma 30 deg", *named]
+    assert named[0] in [each.get_text() for each in plot(made(dim), "polar", log=True).legends[0].get_texts()]
+    assert not any(each in texts(plot(made(one))) for each in named)
+    compared = plot(compare(made(one), made(replace(one, u=2.0 * one.values))))
+    assert named[0] in [each.get_text() for each in compared.legends[0].get_texts()]
+
+
 def lights(*sigma_deg: float, reflectance: float = 0.6, transmitted: bool = False, width_deg: float = math.inf) -> Dataset:
     """Simulated values: a lobe of a width in each of some incidences, or the same values in all directions."""
     model = lambertian(reflectance) if math.isinf(width_deg) else gaussian(width_deg)
