@@ -96,7 +96,8 @@ class Bar:
 class Map:
     """Values (n,) at places (n,) of a disc whose radius is the polar angle, degrees; colours by `bar`.
 
-    What is not `trusted` has no colour. `mirrored`: the other half is the image of this one.
+    What is not `trusted` has no colour, and a cross, but for what a table has `filled`: it has colour, under a dot. `mirrored`:
+    the other half is the image of this one.
     """
 
     x: Floats
@@ -105,6 +106,7 @@ class Map:
     trusted: Flags
     bar: Bar
     mirrored: bool = False
+    filled: Flags | None = None
 
 
 @dataclass(frozen=True)

@@ -82,8 +82,9 @@ def disc_panel(
     bar: Bar,
     isotropic: bool,
     title: str,
+    filled: Flags | None = None,
 ) -> Panel:
     """The map of values (n,) of one light. Of an isotropic sample the half that was not measured is the image of the other."""
     x, y = places(polar_deg, around_deg)
-    cells = Map(x, y, values, trusted, bar, isotropic and is_half(around_deg))
+    cells = Map(x, y, values, trusted, bar, isotropic and is_half(around_deg), filled)
     return Panel(projection="disc", title=title, map=cells, series=ring_lines(), marks=disc_marks(sigma_deg))

@@ -67,6 +67,8 @@ LEGEND_STYLE: dict[str, Any] = {"frameon": False, "fontsize": 9, "title_fontsize
 APART, TITLE_ROOM, LABEL_SHARE = 2.0, 18.0, 0.6
 """Points between the words above given axes, and over these under a title of the whole; the part of ticks and label in the
 distance to the axes below."""
+FILLED_SIZE = 1.0
+"""Of the dot at a filled node of a table, points."""
 DPI = 150
 SUFFIXES = (".png", ".svg")
 
@@ -466,14 +468,17 @@ def _draw_bar(figure: mpl_figure.Figure, axes: list[Axes], bar: Bar) -> None:
 def _draw_disc(axes: Axes, drawn: Map) -> None:
     """The values of a map on its ground, with rings; light and specular direction are marks of the panel."""
     axes.add_patch(Circle((0.0, 0.0), HORIZON_DEG, facecolor=DISC.base, lw=0, zorder=1))
-    x, y, trusted = drawn.x, drawn.y, drawn.trusted
+    x, y, shown = drawn.x, drawn.y, drawn.trusted
+    if drawn.filled is not None:
+        axes.plot(x[drawn.filled], y[drawn.filled], ".", ms=FILLED_SIZE, color=DISC.base, mew=0, zorder=3)
+        shown = shown | drawn.filled
     twice = 2 if drawn.mirrored else 1
     image = np.concatenate([y, -y]) if drawn.mirrored else y
     _draw_surface(
-        axes, np.tile(x, twice), image, drawn.bar.scale.placed(np.tile(drawn.values, twice)), np.tile(trusted, twice), drawn.bar
+        axes, np.tile(x, twice), image, drawn.bar.scale.placed(np.tile(drawn.values, twice)), np.tile(shown, twice), drawn.bar
     )
-    if not trusted.all():
-        axes.plot(x[~trusted], y[~trusted], "x", ms=2.0, mew=0.5, color=DISC.blocked, zorder=3)
+    if not shown.all():
+        axes.plot(x[~shown], y[~shown], "x", ms=2.0, mew=0.5, color=DISC.blocked, zorder=3)
     for radius in RINGS_DEG:
         text = axes.text(0.0, -radius, f"{radius:g}°", fontsize=7, ha="center", va="bottom", color=DISC.text, zorder=5)
         text.set_path_effects([withStroke(linewidth=1.8, foreground=DISC.base)])

@@ -12,7 +12,7 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.figures.curves import COVERAGE, WIDEST_GAP_DEG, Curve, curve_of, plane_angle, quantity
 from goniotwin.app.figures.description import Figure, Panel
 from goniotwin.app.figures.scale import Scale, scale_of
-from goniotwin.app.formats.content import UNTRUSTED, flagged
+from goniotwin.app.formats.content import FILLED, UNTRUSTED, flagged
 from goniotwin.arrays import Floats
 
 MOST_CURVES, MOST_MAPS = 7, 6
@@ -116,7 +116,8 @@ def curve(dataset: Dataset, x: Floats, widest: float = WIDEST_GAP_DEG) -> Curve:
 def reasons_of(drawn: Sequence[Dataset]) -> str:
     """Why values that are drawn are not to be trusted, but those that the mirror unit blocks, in words."""
     names = {name for each in drawn for text in each.flags.tolist() if "shadowed" not in text for name in text.split()}
-    return ", ".join(FLAGS[name].meaning if name in FLAGS else name for name in sorted(names & UNTRUSTED))
+    meanings = {FILLED: "filled, not measured", **{name: flag.meaning for name, flag in FLAGS.items()}}
+    return ", ".join(meanings.get(name, name) for name in sorted(names & UNTRUSTED))
 
 
 def some_of(shown: int, there: int) -> str:

@@ -20,6 +20,8 @@ from goniotwin.app.data.kinds.choice import (
 from goniotwin.app.figures.curves import spread
 from goniotwin.app.figures.description import Figure
 from goniotwin.app.figures.hemisphere import disc_panel, value_bar
+from goniotwin.app.formats.content import FILLED, flagged
+from goniotwin.arrays import Flags
 
 
 def describe(dataset: Dataset, log: bool | None) -> Figure:
@@ -40,10 +42,17 @@ def describe(dataset: Dataset, log: bool | None) -> Figure:
             here.good,
             bar,
             here.only.values.isotropic,
-            f"{title}\n{relative_u_text(here)}",
+            f"{title}\n{relative_u_text(here)}{_filled_text(filled)}",
+            filled if filled.any() else None,
         )
         for title, sigma, here in (maps[k] for k in spread(len(maps), MOST_MAPS))
+        for filled in (np.isfinite(here.bsdf) & flagged(here.flags, {FILLED}),)
     ]
     columns = min(3, len(panels))
     size = 1.2 + 3.4 * columns, 0.9 + 3.6 * math.ceil(len(panels) / columns)
     return figure_of(dataset, panels, size, columns=columns, about=some_of(len(panels), len(maps)))
+
+
+def _filled_text(filled: Flags) -> str:
+    """The share of the nodes (n,) of a table that are filled, in words; empty without any."""
+    return f"\n{100.0 * np.mean(filled):.0f} % of the nodes are filled (dots)" if filled.any() else ""

@@ -240,6 +240,18 @@ def test_a_map_has_no_marks_at_its_measured_directions() -> None:
     assert sorted(str(line.get_marker()) for line in marked) == ["*", "+"]  # light and specular direction
 
 
+def test_the_filled_nodes_of_a_table_have_colour_and_a_dot_and_others_that_are_not_trusted_a_cross() -> None:
+    one = rings(lambertian(0.6), 30.0, RINGS, ROUND)
+    flags = np.where(one.azimuth_deg > 90.0, "filled", "")
+    flags[1] = "dead"
+    disc = plot(made(replace(one, flags=flags)), "hemisphere").axes[0]
+    marks = {str(line.get_marker()): np.size(line.get_xdata()) for line in disc.lines}
+    assert (marks["."], marks["x"]) == ((flags == "filled").sum(), 1)
+    (surface,) = [each for each in disc.collections if each.get_array() is not None]
+    assert np.size(surface.get_array()) > 1.5 * one.size  # with the mirrored half
+    assert disc.get_title().endswith(f"{100.0 * (flags == 'filled').mean():.0f} % of the nodes are filled (dots)")
+
+
 def test_normal_incidence_is_drawn_whatever_its_azimuth() -> None:
     polar, around = np.arange(0.0, 90.0, 10.0), np.arange(0.0, 360.0, 30.0)
     oblique, normal = (rings(lambertian(0.5), sigma, polar, around, isotropic=False) for sigma in (20.0, 0.0))
