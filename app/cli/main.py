@@ -282,7 +282,7 @@ def main() -> None:
 def usage_message(error: TyperException) -> str:
     """The message for arguments that typer refuses, with the help of the command they were given to."""
     text = error.format_message().replace("Value error, ", "").removesuffix(".")
-    parameter = getattr(error, "param", None)
+    parameter: Any = getattr(error, "param", None)
     if text.startswith("Missing ") and (meaning := getattr(parameter, "help", "")):
         text += f": {meaning.removesuffix('.')}"
     if getattr(parameter, "multiple", False):
