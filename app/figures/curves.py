@@ -24,7 +24,7 @@ GAP_DEG, WIDEST_GAP_DEG = 6.0, 30.0
 MOST_MARKED = 60
 """Values of a curve that each have a mark."""
 MEANINGS: dict[MarkKind, str] = {
-    "lost": "below the detection limit, or below U",
+    "lost": "below detection limit or U",
     "below": "below the scale",
     "blocked": "blocked by the mirror unit",
     "untrusted": "not trusted",

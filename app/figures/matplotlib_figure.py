@@ -63,7 +63,14 @@ LETTERS_AN_INCH, MOST_LETTERS = 12.0, 100
 MOST_RINGS = 5
 """Labelled circles of a polar diagram."""
 SIMULATED_STYLE: dict[str, Any] = {"color": PAPER.bad, "weight": "bold", "fontsize": 11}
-LEGEND_STYLE: dict[str, Any] = {"frameon": False, "fontsize": 9, "title_fontsize": 9, "alignment": "left"}
+LEGEND_STYLE: dict[str, Any] = {
+    "frameon": False,
+    "fontsize": 9,
+    "title_fontsize": 9,
+    "alignment": "left",
+    "handlelength": 1.5,
+    "columnspacing": 1.0,
+}
 APART, TITLE_ROOM, LABEL_SHARE = 2.0, 18.0, 0.6
 """Points between the words above given axes, and over these under a title of the whole; the part of ticks and label in the
 distance to the axes below."""

@@ -55,4 +55,4 @@ def describe(dataset: Dataset, log: bool | None) -> Figure:
 
 def _filled_text(filled: Flags) -> str:
     """The share of the nodes (n,) of a table that are filled, in words; empty without any."""
-    return f"\n{100.0 * np.mean(filled):.0f} % of the nodes are filled (dots)" if filled.any() else ""
+    return f"\n{100.0 * np.mean(filled):.0f} % of nodes filled (dots)" if filled.any() else ""
