@@ -3,6 +3,9 @@
 import math
 from collections.abc import Iterable
 
+ENCODER_LOST = "lost in the reset"
+"""In place of an encoder's angle: its counter started again from zero, wherever the axis was."""
+
 
 def duration_text(seconds: float) -> str:
     """A duration in hours, minutes and seconds, such as `2 h 05 min 30 s`; below one hour without the hours."""
@@ -21,10 +24,12 @@ def rounded_duration_text(seconds: float) -> str:
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
 
 
-def place_text(counter_deg: float | None, encoder_deg: float | None) -> str:
+def place_text(counter_deg: float | None, encoder_deg: float | None, encoder_lost: bool = False) -> str:
     """Where counter and encoder of an axis are, and how far apart; None is unknown, or no encoder."""
     if counter_deg is None:
         return "position unknown"
+    if encoder_lost:
+        return f"counter {counter_deg:.3f} deg, encoder {ENCODER_LOST}"
     if encoder_deg is None:
         return f"counter {counter_deg:.3f} deg"
     apart = abs(encoder_deg - counter_deg)

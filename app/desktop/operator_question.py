@@ -74,8 +74,7 @@ class OperatorQuestion(QObject):
             return
         question = now.question.question
         if self._entry is not None and question.axis is not None:
-            name = question.axis.name
-            self._entry.show_place(now.positions.get(name), now.encoders.get(name))
+            self._entry.show_place(*now.place(question.axis.name))
         status = now.rig.devices.get(question.device) if now.rig is not None else None
         self.box.set_note(f"{question.device.capitalize()}: {' '.join(contact_text(status))}" if status is not None else "")
 

@@ -293,7 +293,7 @@ class Snapshot:
 
     `journal` is that of the run in progress, or of the last one, and `person` its operator; `starting` until its engine is in a
     state; `row` the row in progress; `reason` why the state was entered; `unreferenced` why axes are so; `positions` are from
-    the axes' counters, `encoders` from the encoders of those at rest; `stops` counts those so far.
+    the axes' counters, `encoders` from the encoders of those at rest, None after a reset; `stops` counts those so far.
     """
 
     number: int = 0
@@ -312,7 +312,7 @@ class Snapshot:
     activity: str = "opening the rig"
     bench: BenchChanged = field(default_factory=BenchChanged)
     positions: dict[str, float] = field(default_factory=dict)
-    encoders: dict[str, float] = field(default_factory=dict)
+    encoders: dict[str, float | None] = field(default_factory=dict)
     unreferenced: dict[str, str] = field(default_factory=dict)
     reading: BenchReading | None = None
     lamp: LampRead | None = None
@@ -331,6 +331,10 @@ class Snapshot:
     def given_back(self) -> bool:
         """Whether the rig has been closed in good order."""
         return self.rig is None and not self.activity
+
+    def place(self, axis: str) -> tuple[float | None, float | None, bool]:
+        """Counter and encoder of an axis, deg, None is unknown; and whether the encoder has lost its reference in a reset."""
+        return self.positions.get(axis), self.encoders.get(axis), self.encoders.get(axis, 0.0) is None
 
     def operated_by(self, client: str) -> bool:
         """Whether a client operates the rig, or takes the free place with its next command."""

@@ -49,7 +49,7 @@ class Poller:
         self._monitor_dark_a = 0.0
         self._resting: dict[str, tuple[float, float]] = {}
         """Of axes: the counter, and the rig's time since which it is so."""
-        self._encoders: dict[str, float] = {}
+        self._encoders: dict[str, float | None] = {}
         self._due: defaultdict[str, float] = defaultdict(float)
 
     @property
@@ -120,8 +120,7 @@ class Poller:
                 counter, encoder = axis.read_back()
             except Unreferenced:
                 encoder = axis.encoder_deg()
-            if encoder is not None:
-                self._encoders[axis.name] = encoder
+            self._encoders[axis.name] = encoder
         return counter
 
     # ---- the light ----
@@ -206,7 +205,7 @@ class Poller:
         self.contacts.note_answers(self.bench.opened.rig.controller(axis).name)
         self.contacts.report_answers_now_and_then()
         others = {name: angle for name, angle in self._board.snapshot.encoders.items() if name != axis}
-        self._publish(Positions({axis: counter}, others if encoder is None else {**others, axis: encoder}))
+        self._publish(Positions({axis: counter}, {**others, axis: encoder} if asked.settings.encoder else others))
         self.report_references()
 
 

@@ -88,9 +88,9 @@ def _encoder(_session: CheckSession, controller: MotionController, subject: str)
     if not axis.settings.encoder:
         return not_checked("the rig file states no encoder; read its scale")
     counter, encoder = axis.position_deg(), axis.encoder_deg()
-    assert encoder is not None
-    if axis.unreferenced_reason:
-        return not_checked(f"{_unreferenced(axis)}; counter {counter:.3f} deg, encoder {encoder:.3f} deg")
+    if axis.unreferenced_reason or encoder is None:
+        shown = "lost in a reset" if encoder is None else f"{encoder:.3f} deg"
+        return not_checked(f"{_unreferenced(axis)}; counter {counter:.3f} deg, encoder {shown}")
     limit = _encoder_tolerance_deg(axis)
     came = f"counter {counter:.3f} deg, encoder {encoder:.3f} deg"
     return judged(abs(encoder - counter) <= limit, f"they agree within {limit:g} deg", came)

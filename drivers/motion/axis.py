@@ -102,7 +102,10 @@ class Axis(Protocol):
         """Position by the motor's counter. Raises Forgotten if the controller has reset."""
 
     def encoder_deg(self) -> float | None:
-        """Position by the encoder; None for an axis without encoder. Raises Forgotten if the controller has reset."""
+        """Position by the encoder. Raises Forgotten if the controller has reset.
+
+        None for an axis without encoder, and after a reset until it is referenced: the encoder's counter is lost too.
+        """
 
     def is_moving(self) -> bool:
         """True while the motor turns."""

@@ -61,6 +61,30 @@ def test_a_reset_between_two_processes_is_detected() -> None:
             bench.axis.start(20.0)
 
 
+def test_the_encoder_of_an_axis_is_lost_in_a_reset_until_the_axis_is_referenced() -> None:
+    """Its counter is 0 at 30 deg, and after a jam without a reset it is right, in this process and the next."""
+    bench = AxisBench({"homing": HOMING}, HOME).connect()
+    bench.move(30.0)
+    bench.line.reset(bench.clock.now())
+    bench.connect()
+    assert (bench.axis.position_deg(), bench.axis.encoder_deg()) == (0.0, None)
+    bench.axis.start_homing()  # its end is not waited for
+    for _ in range(2):
+        bench.clock.sleep_until(bench.clock.now() + 10.0)
+        bench.next_process()
+        assert not bench.axis.referenced
+        assert bench.axis.encoder_deg() is None
+    bench.axis.set_position(30.0)
+    assert bench.axis.encoder_deg() == pytest.approx(30.0, abs=0.01)
+    bench.plant.shafts["sigma"].jam(bench.clock.now())
+    with contextlib.suppress(DeviceError):
+        bench.move(40.0)
+    for _ in range(2):
+        bench.next_process()
+        assert not bench.axis.referenced
+        assert bench.axis.encoder_deg() == pytest.approx(30.0, abs=0.01)
+
+
 def test_a_process_that_ends_between_canary_and_settings_does_not_reference_the_axis() -> None:
     bench = AxisBench(ANYWHERE)
     bench.module.connect()  # the process ends before its axes are connected

@@ -481,7 +481,9 @@ class Engine:
     def _notify_positions(self, data: RowData) -> None:
         positions = data.positions
         if self._positions_every_s and positions is not None:
-            encoders = {name: value for name in AXES if (value := positions.get(f"{name}_encoder")) is not None}
+            encoders: dict[str, float | None] = {
+                name: value for name in AXES if (value := positions.get(f"{name}_encoder")) is not None
+            }
             self._notify(Positions({name: value for name in AXES if (value := positions[name]) is not None}, encoders))
 
     def _enter(self, state: State, reason: str = "") -> None:

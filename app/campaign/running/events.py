@@ -54,10 +54,13 @@ class RowCommitted:
 
 @dataclass(frozen=True)
 class Positions:
-    """Positions of the axes from their counters, and of those at rest from their encoders, in degrees, by axis."""
+    """Positions of the axes from their counters, and of those at rest from their encoders, in degrees, by axis.
+
+    None is an encoder that has lost its reference in a reset.
+    """
 
     degrees: dict[str, float]
-    encoders: dict[str, float] = field(default_factory=dict)
+    encoders: dict[str, float | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

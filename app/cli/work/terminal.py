@@ -14,9 +14,9 @@ from goniotwin.app.station.messages import QuestionAsked
 NO_TERMINAL = "samples are mounted and faults fixed by hand, and standard input is closed; run it in a terminal"
 ENCODER = "encoder"
 """Typed in place of an angle: the encoder's."""
-Place = tuple[float | None, float | None]
-"""Counter and encoder of an axis, deg; None is unknown."""
-NO_PLACE: Place = (None, None)
+Place = tuple[float | None, float | None, bool]
+"""Counter and encoder of an axis, deg, as `Snapshot.place` has them."""
+NO_PLACE: Place = (None, None, False)
 
 
 class TerminalAsk:
@@ -54,8 +54,7 @@ class TerminalAsk:
 
     def _place_of(self, question: Question) -> Place:
         """The axis' counter and encoder now."""
-        now, axis = self._host.station.snapshot, question.axis
-        return (now.positions.get(axis.name), now.encoders.get(axis.name)) if axis is not None else NO_PLACE
+        return self._host.station.snapshot.place(question.axis.name) if question.axis is not None else NO_PLACE
 
     def _set_question(self, question: tuple[int, Question] | None) -> None:
         with self._asked:

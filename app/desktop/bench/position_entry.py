@@ -4,6 +4,7 @@ from PySide6.QtCore import Qt, Slot
 from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QGridLayout, QLabel, QLineEdit, QPushButton, QWidget
 
+from goniotwin.app.campaign.wording import ENCODER_LOST
 from goniotwin.app.desktop.bench.number_field import number_of
 from goniotwin.app.desktop.rig.panels import NO_VALUE
 
@@ -69,15 +70,17 @@ class PositionEntry(QWidget):
         """The angle in the field; None where it has none."""
         return number_of(self.field.text(), DECIMALS)
 
-    def show_place(self, counter_deg: float | None, encoder_deg: float | None) -> None:
-        """Show counter and encoder, deg; None is unknown, or an axis without an encoder."""
+    def show_place(self, counter_deg: float | None, encoder_deg: float | None, encoder_lost: bool = False) -> None:
+        """Show counter and encoder, deg; None is unknown, an axis without an encoder, or one that is lost in a reset."""
         self._encoder_deg = encoder_deg
-        known = counter_deg is not None and encoder_deg is not None
         apart = encoder_deg - counter_deg if encoder_deg is not None and counter_deg is not None else None
         for label, angle in ((self._counter, counter_deg), (self._encoder, encoder_deg), (self._apart, apart)):
             label.setText(NO_VALUE if angle is None else f"{round(angle, DECIMALS) + 0.0:.{DECIMALS}f}°".replace("-", "−"))
+        if encoder_lost:
+            self._encoder.setText(ENCODER_LOST)
         self.take.setEnabled(encoder_deg is not None)
-        self.take.setToolTip("" if known else "the encoder has no value")
+        reason = f"the encoder's reference was {ENCODER_LOST}" if encoder_lost else "the encoder has no value"
+        self.take.setToolTip("" if encoder_deg is not None else reason)
 
     @Slot()
     def _take_encoder(self) -> None:

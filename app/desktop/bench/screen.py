@@ -343,7 +343,7 @@ class BenchScreen(Screen):
         """Show counter and encoder of the axis whose position is to be set."""
         if self._place is not None and self._station is not None:
             axis, entry = self._place
-            entry.show_place(self._station.positions.get(axis), self._station.encoders.get(axis))
+            entry.show_place(*self._station.place(axis))
 
     def showEvent(self, event: QShowEvent) -> None:
         """Show what has come while another screen was shown; Qt calls it."""

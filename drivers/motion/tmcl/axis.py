@@ -206,15 +206,16 @@ class TmclAxis:
         return self._registers.position_deg()
 
     def encoder_deg(self) -> float | None:
-        """Position by the encoder, confirmed by the canary; None for an axis without encoder. Raises DeviceError."""
-        return self._registers.encoder_deg()
+        """Position by the encoder, confirmed by the canary; None without one, or lost in a reset. Raises DeviceError."""
+        encoder = self._registers.encoder_deg()
+        return None if self._reference.encoder_lost else encoder
 
     def is_moving(self) -> bool:
         """True while the motor turns. Raises DeviceError."""
         return self._registers.read_confirmed(Parameter.ACTUAL_VELOCITY) != 0
 
     def deviation_deg(self) -> float | None:
-        """Encoder minus counter; None for an axis without encoder. Raises DeviceError."""
+        """Encoder minus counter; None where the encoder is. Raises DeviceError."""
         encoder = self.encoder_deg()
         return None if encoder is None else encoder - self.position_deg()
 

@@ -42,9 +42,9 @@ from goniotwin.drivers.motion.tmcl.rules import (
     check_reply,
     is_repeatable,
     read_request,
+    reset_marks,
     setting_name,
     starts_motion,
-    unreferenced_marks,
 )
 from goniotwin.drivers.tap import Tap, no_tap
 from goniotwin.protocols.clock import Clock
@@ -357,7 +357,7 @@ class TmclModule:
             self._reset.add(address)
             self._resets[address] += 1
             with contextlib.suppress(DeviceError):
-                for each in unreferenced_marks(address):
+                for each in reset_marks(address):
                     self.exchange(each)
 
     def _once(self, request: CommandFrame) -> int:

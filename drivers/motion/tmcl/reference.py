@@ -1,8 +1,8 @@
 """Reference of an axis: whether its position is known. The module keeps it for the next process while it has power.
 
-Each axis has a mark in a user variable that is lost with the power. It has one of three values: referenced, unreferenced,
-or neither, which means that the module was powered up or reset since the mark was set. So a process inherits the reference
-of the process before it.
+Each axis has a mark in a user variable that is lost with the power. It is referenced, unreferenced, unreferenced by a reset,
+or has no value, which means that the module was powered up or reset since the mark was set. So a process inherits the
+reference of the process before it. A reset takes the encoder's counter too; other events leave it right.
 """
 
 import contextlib
@@ -10,7 +10,7 @@ import contextlib
 from goniotwin.drivers.errors import DeviceError, Forgotten, Interrupted, NoAnswer, Refused
 from goniotwin.drivers.motion.tmcl.module import TmclModule
 from goniotwin.drivers.motion.tmcl.registers import Registers
-from goniotwin.drivers.motion.tmcl.rules import REFERENCED, UNREFERENCED, mark
+from goniotwin.drivers.motion.tmcl.rules import REFERENCED, RESET, UNREFERENCED, mark
 from goniotwin.protocols.tmcl import CommandFrame
 from goniotwin.protocols.tmcl_parameters import ErrorFlag
 
@@ -30,28 +30,38 @@ class Reference:
         self._reason = "it has not been homed since it was connected" if self._settings.homing_required else ""
         self._resets = 0
         self._first = True
+        self._encoder_lost = False
         self.errors = ErrorFlag(0)
 
     @property
     def unreferenced_reason(self) -> str:
         """Why the axis is unreferenced; empty if it is referenced."""
-        if self._module.resets(self._settings.module) != self._resets:
+        if self._has_reset:
             return self._reason or "its module has reset, and its counter with it"
         return self._reason
+
+    @property
+    def encoder_lost(self) -> bool:
+        """True if a reset has zeroed the encoder's counter somewhere, and the axis has not been referenced since."""
+        return self._encoder_lost or self._has_reset
+
+    @property
+    def _has_reset(self) -> bool:
+        return self._module.resets(self._settings.module) != self._resets
 
     def mark_unreferenced(self, reason: str) -> None:
         """Make the axis unreferenced, here and, if the line works, in the module."""
         if not self._reason:
             self._reason = reason
             with contextlib.suppress(DeviceError):
-                self._write_mark(UNREFERENCED)
+                self._write_mark(RESET if self.encoder_lost else UNREFERENCED)
 
     def mark_referenced(self) -> None:
         """Make the axis referenced. Raises DeviceError."""
         resets = self._module.resets(self._settings.module)
         self._write_mark(REFERENCED)
         self._resets = resets
-        self._reason = ""
+        self._reason, self._encoder_lost = "", False
 
     def restore(self, earlier_errors: ErrorFlag) -> None:
         """Take over the mark in the module on the first connection, unless an error flag contradicts it. Raises DeviceError.
@@ -61,8 +71,10 @@ class Reference:
         if self._first:
             value = self._module.exchange(mark(self._settings.module, self._settings.motor))
             self._reason = self._reason_of_mark(value, earlier_errors)
+            self._encoder_lost = bool(self._reason) and value not in (REFERENCED, UNREFERENCED)
             self._first = False
-        self._write_mark(UNREFERENCED if self.unreferenced_reason else REFERENCED)
+        unreferenced = RESET if self.encoder_lost else UNREFERENCED
+        self._write_mark(unreferenced if self.unreferenced_reason else REFERENCED)
 
     def encoder_disagrees(self, counter_deg: float, encoder_deg: float | None) -> bool:
         """True if counter and encoder differ by more than the tolerance."""
@@ -111,7 +123,7 @@ class Reference:
             return f"{flag_names(earlier_errors)} has stopped it before it was connected" if earlier_errors else ""
         if self._settings.homing_required:
             return "it has not been homed since its module was powered up"
-        if self._settings.power_up_at_reference:
+        if self._settings.power_up_at_reference and value != RESET:
             return ""
         return "its module was powered up or has reset since it was last referenced"
 

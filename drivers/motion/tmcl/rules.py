@@ -39,8 +39,8 @@ REMEDIES: dict[int, str] = {
     ReplyStatus.MAXIMUM_EXCEEDED: "the value is too great for the module: correct the table of the axis in the rig file",
 }
 """What to do about the status with which a module refuses a command."""
-REFERENCED, UNREFERENCED = 0x6B6E_6F77, 0x646F_7562
-"""The two values of a mark; after a power-up it has neither."""
+REFERENCED, UNREFERENCED, RESET = 0x6B6E_6F77, 0x646F_7562, 0x6C6F_7374
+"""The values of a mark; after a power-up it has none of them. RESET: unreferenced, and the encoder's counter is lost too."""
 
 
 def mark(address: int, motor: int, value: int | None = None) -> CommandFrame:
@@ -49,9 +49,9 @@ def mark(address: int, motor: int, value: int | None = None) -> CommandFrame:
     return CommandFrame(address, command, FIRST_MARK_VARIABLE + motor, USER_BANK, value or 0)
 
 
-def unreferenced_marks(address: int) -> list[CommandFrame]:
-    """The requests that mark all motors of a module as unreferenced."""
-    return [mark(address, motor, UNREFERENCED) for motor in range(MOTORS)]
+def reset_marks(address: int) -> list[CommandFrame]:
+    """The requests that mark all motors of a module as unreferenced by a reset."""
+    return [mark(address, motor, RESET) for motor in range(MOTORS)]
 
 
 def setting_name(request: CommandFrame) -> str:

@@ -257,6 +257,32 @@ def test_an_axis_whose_encoder_contradicts_is_marked_with_both_values(desk: Desk
     assert opened.virtual.plant.angle_deg("sigma", opened.rig.clock.now()) == pytest.approx(30.0, abs=0.01)
 
 
+def test_the_encoder_that_a_reset_has_zeroed_is_not_offered(desk: Desk) -> None:
+    opened = desk.station.opened
+    assert opened is not None
+    assert opened.virtual is not None
+    desk.go("sigma", "30")
+    desk.rest()
+    opened.virtual.serial["axes"].reset(opened.rig.clock.now())
+    for _ in range(9):  # found, given up, and connected again
+        desk.rest()
+    sigma = desk.bench.axes["sigma"]
+    assert sigma.position.text() == "✗ 0.00°"
+    desk.press(sigma.set_button)
+    question = desk.bench.question
+    assert question is not None
+    entry = question.findChild(PositionEntry)
+    assert entry is not None
+    assert entry.place == "0.000°, lost in the reset, –"
+    assert not entry.take.isEnabled()
+    assert "lost in the reset" in entry.take.toolTip()
+    entry.field.setText("30")
+    question.buttons[SET_POSITION].click()
+    desk.rest()
+    assert sigma.position.text() == "30.00°"
+    assert desk.station.snapshot.encoders["sigma"] == pytest.approx(30.0, abs=0.01)
+
+
 def test_an_unreferenced_axis_is_marked(qtbot: QtBot, write_rig: Writer) -> None:
     desk = Desk(qtbot, write_rig(*QUIET, ("settling_s = 0.2\npower_up_at_reference = true", "settling_s = 0.2")))
     sigma = desk.bench.axes["sigma"]

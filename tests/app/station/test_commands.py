@@ -368,6 +368,17 @@ def test_the_terminal_states_where_an_axis_is(host: HostedRun, monkeypatch: pyte
     assert host.station.snapshot.question is None
 
 
+def test_the_terminal_does_not_take_an_encoder_that_a_reset_has_zeroed(
+    host: HostedRun, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    host.station.board.publish(Positions({"beta": 0.0}, {"beta": None}))
+    monkeypatch.setattr(sys, "stdin", io.StringIO("set encoder\nset 30\n"))
+    assert TerminalAsk(host)(WHERE) == PositionGiven(30.0)
+    shown = capsys.readouterr().err
+    assert "encoder lost in the reset" in shown
+    assert "or encoder" not in shown
+
+
 @pytest.mark.parametrize(("line", "angle_deg"), [("set 12.5", 12.5), ("Set position −3,25", -3.25), ("set p 0", 0.0)])
 def test_the_terminal_takes_an_angle(host: HostedRun, monkeypatch: pytest.MonkeyPatch, line: str, angle_deg: float) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO(f"{line}\n"))
