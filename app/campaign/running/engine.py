@@ -374,6 +374,10 @@ class Engine:
             )
             text = f"{failure}{what}: {happened}"
             reply = self._operator.resolve_fault(text, skippable=skippable, device=device, axis=axis)
+            if reply is None:
+                text = "no operator: the program itself operates this simulated rig"
+                self._log_event("no operator", f"{text} (at {what}: the run ends)", what, "the run ends", text)
+                return Answer.STOP
             answer, given = (Answer.SET_POSITION, reply) if isinstance(reply, PositionGiven) else (reply, None)
             given_text = f"{answer} to {given.angle_deg:.3f} deg" if given is not None else str(answer)
             self._log_event("answer", f"{given_text} (at {what})", what, "", f"Answer of the operator: {given_text}")

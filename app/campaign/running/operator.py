@@ -17,10 +17,13 @@ class Operator(Protocol):
     def mount(self, sample: str) -> None:
         """Return when `sample` is in the sample unit; for NO_SAMPLE, when the sample unit is empty. Raises Stopped."""
 
-    def resolve_fault(self, fault: str, /, *, skippable: bool, device: str = "", axis: UnreferencedAxis | None = None) -> Reply:
+    def resolve_fault(
+        self, fault: str, /, *, skippable: bool, device: str = "", axis: UnreferencedAxis | None = None
+    ) -> Reply | None:
         """Ask for a fault of a device to be fixed; return RETRY, PAUSE, STOP, or, of what is `skippable`, SKIP.
 
-        Where the fault has left an `axis` unreferenced, the reply may be HOME, if it can home, or its position.
+        None: there is no person to ask. Where the fault has left an `axis` unreferenced, the reply may be HOME, if it can home,
+        or its position.
         """
 
 
@@ -34,12 +37,9 @@ class VirtualOperator:
         """Mount a sample. Raises KeyError for a sample that the virtual rig does not have."""
         self._rig.mount(None if sample == NO_SAMPLE else sample)
 
-    def resolve_fault(
-        self, _fault: str, /, *, skippable: bool, device: str = "", axis: UnreferencedAxis | None = None
-    ) -> Reply:
-        """Return STOP: there is no person to fix a fault."""
+    def resolve_fault(self, _fault: str, /, *, skippable: bool, device: str = "", axis: UnreferencedAxis | None = None) -> None:
+        """There is no person to fix a fault."""
         del skippable, device, axis
-        return Answer.STOP
 
 
 class ServedOperator:
@@ -63,12 +63,9 @@ class ServedOperator:
                 f"mounting {sample!r} on the served rig: {error}; is `goniotwin serve` still running, with this rig file?"
             ) from None
 
-    def resolve_fault(
-        self, _fault: str, /, *, skippable: bool, device: str = "", axis: UnreferencedAxis | None = None
-    ) -> Reply:
-        """Return STOP: there is no person to fix a fault."""
+    def resolve_fault(self, _fault: str, /, *, skippable: bool, device: str = "", axis: UnreferencedAxis | None = None) -> None:
+        """There is no person to fix a fault."""
         del skippable, device, axis
-        return Answer.STOP
 
 
 class HumanOperator:

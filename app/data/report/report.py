@@ -46,6 +46,7 @@ TEMPLATE = "report.html.j2"
 EVENTS = {
     "fault": "faults",
     "answer": "answers of the operator",
+    "no operator": "faults without an operator",
     "order": "safety orders",
     "stop": "stops",
     "drift": "drift",

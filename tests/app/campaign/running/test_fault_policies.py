@@ -163,6 +163,14 @@ def test_with_ask_the_operator_decides(
     assert any(kind == "answer" and text.startswith(answer) for kind, text in run.events)
 
 
+def test_where_there_is_nobody_to_ask_no_answer_of_an_operator_is_recorded(make: MakePlan, tmp_path: Path) -> None:
+    run = run_with_silence(make('\n[faults]\nwire = "ask"\n'), tmp_path / "a.journal", Silence(1))
+    assert run.state is State.FAILED
+    [text] = [text for kind, text in run.events if kind == "no operator"]
+    assert text.startswith("no operator: the program itself operates this simulated rig (at ")
+    assert not any(kind == "answer" for kind, _ in run.events)
+
+
 def test_a_terminal_takes_the_beginning_of_an_answer_and_never_enter_alone(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
