@@ -523,7 +523,7 @@ class Presenter(QObject):
             serious=failed,
         )
         if end.state is State.DONE:
-            self._view.show_status(f"Done: {of} rows.")
+            self._view.show_status(f"Done: {done} of {of} rows.")
         elif end.state is State.IDLE:
             why = "" if end.reason in ("", "stopped") else f": {end.reason}"
             self._view.show_status(

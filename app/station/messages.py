@@ -174,7 +174,7 @@ class BenchReading:
 
 @dataclass(frozen=True)
 class RunBegun:
-    """A run has begun, into a journal. `done` of `total` rows are measured already; `seconds_left` is estimated.
+    """A run has begun, into a journal. `done` of the `total` planned rows are measured already; `seconds_left` is estimated.
 
     `person` if a person is the operator of a virtual rig.
     """
@@ -189,7 +189,7 @@ class RunBegun:
 
 @dataclass(frozen=True)
 class RowSaved:
-    """A row is on the disk: `done` of `total` rows. Its values are in the journal, under the row's number."""
+    """A row is on the disk: `done` of the `total` planned rows are measured. Its values are in the journal, by its number."""
 
     row: Row
     flags: tuple[str, ...]

@@ -101,7 +101,7 @@ class Engine:
         self._work = plan.rows if work is None else work
         left = list(accumulate((row.seconds for row in reversed(self._work)), initial=0.0))
         self._seconds_left = left[::-1]
-        self._done_before = self._done = 0
+        self._done = self._measured = 0
 
     @property
     def state(self) -> State:
@@ -216,7 +216,7 @@ class Engine:
         planned = len(self._plan.rows)
         if self._resumed:
             unplanned = [row for row in self._work if row.number >= planned]
-            self._done_before = planned - (len(self._work) - len(unplanned))
+            self._measured = planned - (len(self._work) - len(unplanned))
             self._journal.add_rows(unplanned)
             first = next((row.number for row in self._work if row.number < planned), 0)
             measured = [row for row in self._plan.rows[:first] if row.kind == "measure"]
@@ -278,8 +278,9 @@ class Engine:
     def _commit(self, row: Row, data: RowData) -> None:
         """Write a row to the journal, and notify the listeners."""
         self._journal.commit(row, data)
-        total = self._done_before + len(self._work)
-        self._notify(RowCommitted(row, data, self._done_before + self._done, total, self._seconds_left[self._done]))
+        total = len(self._plan.rows)
+        self._measured += row.number < total and SKIPPED not in data.flags
+        self._notify(RowCommitted(row, data, self._measured, total, self._seconds_left[self._done]))
 
     def _slept(self) -> bool:
         """Whether the computer slept since the last call: devices and dark currents may be other than before."""

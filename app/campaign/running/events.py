@@ -43,7 +43,10 @@ class RowStarted:
 
 @dataclass(frozen=True)
 class RowCommitted:
-    """A row is on the disk: `done` of `total` rows. `seconds_left` is the estimated duration of the rows that are left."""
+    """A row is on the disk. `seconds_left` is the estimated duration of the rows that are left, unplanned ones included.
+
+    `done` of the `total` planned rows are measured: as `row_counts` of the journal, without skipped and unplanned rows.
+    """
 
     row: Row
     data: RowData

@@ -93,6 +93,12 @@ def test_a_stop_in_a_run_and_its_resume(bench: StationBench, write_schedule: Wri
     now = bench.work()
     assert now.state is State.DONE
     assert [each.done for each in bench.events if isinstance(each, RunBegun)] == [0, before]
+    assert now.journal is not None
+    summary = campaign_summary(now.journal)
+    assert (now.done, now.total) == (summary.rows, summary.planned) == (ROWS, ROWS)  # without the mounting of the resume
+    resumed = [each for each in bench.events if isinstance(each, RowSaved)][before:]
+    assert len(resumed) > ROWS - before
+    assert [each.done for each in resumed if each.row.unplanned] == [before] * (len(resumed) - (ROWS - before))
     other = StationBench(write_rig(*QUIET))
     other.station.start(write_schedule(), tmp_path / "b")
     undisturbed = other.work().journal
