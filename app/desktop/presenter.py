@@ -238,9 +238,8 @@ class Presenter(QObject):
                 self.journal = journal
                 self._begin_countdown(done, total, seconds_left)
                 self._view.set_saved(f"Saved row by row in {journal}")
-                self._log.add(
-                    f"Run of {name} started", journal.name, f"{total} rows" if not done else f"{done} of {total} rows done"
-                )
+                begun, rows = ("resumed", f"{done} of {total} rows are kept") if done else ("started", f"{total} rows")
+                self._log.add(f"Run of {name} {begun}", journal.name, rows)
             case RunStarted(plan, _journal, mountings):
                 self.countdown.mountings = mountings
                 self._live_plot.start(plan, self._mark)

@@ -127,6 +127,8 @@ def test_an_unfinished_campaign_of_the_schedule_is_resumed_with_the_key_of_pause
     qtbot.waitUntil(window.isActiveWindow)
     qtbot.keyClick(window, Qt.Key.Key_P, Qt.KeyboardModifier.ControlModifier)
     wait_for_end(qtbot, window, State.DONE)
+    [begun] = [each for each in window.view.log.entries if each.what.startswith("Run of ")]
+    assert (begun.what, begun.consequence) == ("Run of small resumed", f"4 of {ROWS} rows are kept")
     with Journal.open(journals / "small-001.journal") as journal:
         assert journal.row_counts() == (ROWS, ROWS)
     qtbot.waitUntil(lambda: button.text() == PAUSE and not button.isEnabled(), timeout=READY_MS)
