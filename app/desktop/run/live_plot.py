@@ -9,6 +9,7 @@ from PySide6.QtCore import QEvent, QObject, QPointF, QRectF, Qt, QTimer, Signal,
 from PySide6.QtGui import QFont, QFontMetricsF, QKeyEvent, QResizeEvent
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
+from goniotwin.app.campaign.geometry.directions import direction_keys
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.components import DETECTED
 from goniotwin.app.campaign.reduction.points import BITS, REASON_ORDER
@@ -534,8 +535,9 @@ def _note_text(cut: Cut, of: dict[MarkKind, Flags]) -> str:
         text += f"    ■\u00a0{transmitted} of these transmitted"
     if steep := int((measured & points.steep).sum()):
         text += f"    ◆\u00a0{steep} of these steep (measured too far apart: their u may be too small)"
-    if counts["blocked"] or scan.blocked_deg:
-        text += f"    ○\u00a0{counts['blocked']} blocked by the mirror unit (shaded)"
+    if points.blocked.any() or scan.blocked_deg:  # most have no value, so no mark; two photodiodes may measure one direction
+        keys = direction_keys(*points.directions[points.blocked, :2].T)
+        text += f"    ○\u00a0{len(np.unique(keys, axis=0))} blocked by the mirror unit (shaded)"
     if counts["untrusted"]:
         marks = points.marks[of["untrusted"]]
         names = ", ".join(name for name in REASON_ORDER if np.any(marks & BITS[name]))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pytestqt.qtbot import QtBot
 
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.components import DETECTED, Signal
 from goniotwin.app.campaign.reduction.points import BITS, BsdfPoints
@@ -267,6 +268,20 @@ def test_a_scan_in_several_visits_is_shown_whole(tmp_path: Path, write_rig: Writ
     inside = [any(a <= x <= b for a, b in scan.blocked_deg) for x in scan.points.x_deg]
     assert scan.points.blocked.any()
     assert inside == scan.points.blocked.tolist()
+
+
+def test_the_blocked_directions_of_a_cut_are_those_of_the_check(
+    plot: ScanPlot, tmp_path: Path, write_rig: Writer, write_schedule: Writer
+) -> None:
+    """Most of them have no value."""
+    changes = ("beta_deg = [180]", "beta_deg = [0, 180]"), ("shift_deg = [0, 1]", "shift_deg = [0, 1, 2, 3, 4]")
+    plan = make_plan(read_schedule(write_schedule(*changes)), read_rig(write_rig(*QUIET)))
+    live = LiveScan(plan)
+    run_plan(plan, tmp_path / "a.journal", listeners=[watch(live)])
+    scan = complete(live)
+    assert np.isfinite(scan.points.values[scan.points.blocked]).sum() < check_plan(plan).shadowed
+    plot.show_cut(match(scan, None))
+    assert f"○\u00a0{check_plan(plan).shadowed} blocked by the mirror unit" in plot.summary
 
 
 @pytest.fixture
