@@ -23,8 +23,9 @@ def left_unsafe(journal: Path | None = None) -> list[Record]:
     ]
 
 
-def acknowledge_left(text: str) -> None:
-    """Remove the records with the order of this text, which a person has acknowledged."""
-    for each in left_unsafe():
-        if each.text == text:
-            remove_record(Path(each.path))
+def acknowledge_left(text: str) -> list[Record]:
+    """Remove and return the records with the order of this text, which a person has acknowledged."""
+    found = [each for each in left_unsafe() if each.text == text]
+    for each in found:
+        remove_record(Path(each.path))
+    return found

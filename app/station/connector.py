@@ -8,7 +8,7 @@ from goniotwin.app.rig import RigDescription
 from goniotwin.app.rig.last_rig import remember_rig
 from goniotwin.app.station.board import Board, Publish
 from goniotwin.app.station.messages import RigOpened
-from goniotwin.app.station.orders import SafetyOrders
+from goniotwin.app.station.orders import SafetyOrders, end_shutter_orders
 from goniotwin.app.station.poller import Poller
 from goniotwin.drivers import DeviceError
 
@@ -82,6 +82,7 @@ class Connector:
         if left is not None and left.done:
             self._publish(EventLogged("guardian", left.outcome, left.device))
             guard.settle()
+            end_shutter_orders(left)
             left = None
         if left is None and (bench.opened_shutter or not is_open):
             return
@@ -100,3 +101,5 @@ class Connector:
             self._publish(EventLogged("guardian", f"Shutter {how}: {found.reason}", self._opened.rig.monochromator.name))
             guard.settle()
             self._orders.withdraw(found)
+            if left is not None:
+                end_shutter_orders(left)

@@ -1,11 +1,14 @@
 """The safety orders of a station: each is in the snapshot and in its run's journal until a person acknowledges it."""
 
+import contextlib
 import threading
+from pathlib import Path
 
 from goniotwin.app.campaign.journal.place import JournalError
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.running.events import EventLogged, SafetyOrder
 from goniotwin.app.errors import UserError
+from goniotwin.app.guardian.record import Record
 from goniotwin.app.station.board import Board
 from goniotwin.app.station.messages import OrderAcknowledged
 from goniotwin.app.station.permissions import CommandRefused
@@ -84,3 +87,12 @@ class SafetyOrders:
                 record.event("acknowledged", order.text)
             except (JournalError, UserError) as error:
                 self._board.publish(EventLogged("fault", f"the acknowledgement is not in the journal: {error}", "journal"))
+
+
+def end_shutter_orders(left: Record) -> None:
+    """What a program has left is seen to: end the orders about the shutter in its journal too, if that can be written."""
+    if left.journal:
+        with contextlib.suppress(JournalError, UserError, OSError), Journal.reopen(Path(left.journal)) as journal:
+            for text in journal.open_orders():
+                if text.startswith(CLOSE_SHUTTER):
+                    journal.event(journal.sessions()[-1].ended_s, "acknowledged", text)

@@ -33,7 +33,7 @@ from goniotwin.app.station.messages import (
     SpeedChanged,
     StopReceived,
 )
-from goniotwin.app.station.orders import SafetyOrders
+from goniotwin.app.station.orders import SafetyOrders, end_shutter_orders
 from goniotwin.app.station.permissions import CommandRefused, allowed
 from goniotwin.app.station.poller import POLL_S, Poller
 from goniotwin.app.station.questions import LOOK_S, Questions
@@ -159,6 +159,8 @@ class Station:
         acknowledged = self.orders.acknowledge(order)
         opened = self.opened
         if opened is not None and acknowledged.order == CLOSE_SHUTTER:
+            if (left := opened.guard.left) is not None:
+                end_shutter_orders(left)
             opened.guard.settle()
 
     def start(self, schedule: Path, folder: Path, person: bool = False) -> None:

@@ -19,6 +19,7 @@ from goniotwin.app.rig import OpenRig, RigDescription, open_rig, read_rig
 from goniotwin.app.rig.kinds import kinds
 from goniotwin.app.rig.lock import RigLock
 from goniotwin.app.rig.wires import open_serial
+from goniotwin.app.station.orders import end_shutter_orders
 from goniotwin.drivers import Device, DeviceError
 from goniotwin.drivers.guard import Guarded
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
@@ -95,6 +96,7 @@ def _order(opened: OpenRig, device: Device, *, answers: bool) -> str:
             if device.is_safe():
                 if left is not None:
                     opened.guard.settle()
+                    end_shutter_orders(left)
                 return ""
             if left is None:
                 will = device.last_will()

@@ -42,6 +42,7 @@ from goniotwin.app.station.hosting import station_of
 from goniotwin.app.station.message_text import message_text
 from goniotwin.app.station.messages import Message as StationMessage
 from goniotwin.app.station.messages import RigOpened, RunEnded, RunRefused, Snapshot
+from goniotwin.app.station.orders import end_shutter_orders
 from goniotwin.app.station.permissions import STOPPED
 from goniotwin.app.station.starting import start_station
 from goniotwin.protocols.clock import RealClock, calendar_s
@@ -242,7 +243,7 @@ class Connection:
         if order in self.snapshot.orders:
             self.command("acknowledge", order=order.text)
         else:
-            self._tasks.put(partial(acknowledge_left, order.text))
+            self._tasks.put(partial(self._acknowledge_left, order.text))
 
     def operate(self) -> None:
         """Operate the rig from here; the other clients watch from then on."""
@@ -319,6 +320,10 @@ class Connection:
         """Show the orders for what programs that died have left; a station of the rig takes them away again."""
         for each in left_unsafe():
             self._send(left_order(each))
+
+    def _acknowledge_left(self, text: str) -> None:
+        for each in acknowledge_left(text):
+            end_shutter_orders(each)
 
     def _work(self) -> None:
         while True:

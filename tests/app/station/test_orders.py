@@ -5,7 +5,10 @@ from pathlib import Path
 import pytest
 
 from goniotwin.app.campaign.journal.summary import campaign_summary
+from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.running.events import EventLogged, SafetyOrder
+from goniotwin.app.guardian.record import Record
+from goniotwin.app.station.bench import Bench
 from goniotwin.app.station.messages import Message, OrderAcknowledged, RowSaved
 from goniotwin.app.station.permissions import CommandRefused
 from goniotwin.drivers import Rig
@@ -72,6 +75,40 @@ def test_an_order_of_the_last_session_stands_after_a_resume(
     other.station.acknowledge(order.text)
     assert campaign_summary(journal).orders == []
     other.station.close_rig()
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_an_order_in_the_journal_of_an_earlier_program_ends_with_what_that_has_left(
+    bench: StationBench, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, closed: bool
+) -> None:
+    """Its run could not close the shutter. This program sees it closed, or a person acknowledges the order to close it."""
+    bench.station.start(write_schedule(), tmp_path)
+    bench.clock.at(bench.clock.now() + 8.0, bench.station.stop)
+    journal = bench.work().journal
+    assert journal is not None
+    with Journal.reopen(journal) as reopened:
+        reopened.event(9.0, "order", f"{CLOSE_SHUTTER}: it may be open")
+        reopened.event(9.0, "order", "Cut the motors' power: beta")
+    guard = bench.opened.guard.device("left-in-a-test", "socket://127.0.0.1:1")
+    about = ("rig", 4711, "2026-01-01T00:00:00+00:00", str(guard.path), str(journal), (), ())
+    guard.left = Record(
+        "monochromator", "socket://127.0.0.1:1", 9600, "", "", "", "", "it may be open", CLOSE_SHUTTER, "", *about
+    )
+    assert len(campaign_summary(journal).orders) == 2
+
+    def fail(_bench: Bench) -> None:
+        raise NoAnswer("monochromator", "SHUTTER C", "not responding")
+
+    if not closed:
+        bench.virtual.plant.shutter_open.set(bench.clock.now(), True)
+        monkeypatch.setattr(Bench, "close_left_open", fail)
+    bench.station.connect("monochromator")
+    orders = bench.work().orders
+    assert len(orders) == (0 if closed else 1)
+    for each in orders:
+        assert len(campaign_summary(journal).orders) == 2
+        bench.station.acknowledge(each.text)
+    assert campaign_summary(journal).orders == ["Cut the motors' power: beta"]
 
 
 def test_an_order_without_a_run(bench: StationBench, monkeypatch: pytest.MonkeyPatch) -> None:
