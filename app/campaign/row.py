@@ -21,7 +21,7 @@ CONTRADICTION = "contradiction"
 RESUME_PREFIX = "resumed "
 """Beginning of the identity of an unplanned row: a resumed session starts with such rows."""
 WAKE_PREFIX = "awake "
-"""Beginning of the identity of an unplanned row that follows a sleep of the computer."""
+"""Beginning of the identity of an unplanned dark reading: after a sleep of the computer, or a long wait for a person."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ Plain Python for one thread; pause, resume and stop may be called from any other
 """
 
 import contextlib
+import math
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -52,6 +53,10 @@ REFERENCED_BY = (Answer.HOME, Answer.SET_POSITION)
 SHUTTER_MAY_BE_OPEN = "the shutter may be open; close it by hand"
 
 
+class _DarkIsOld(Exception):
+    """A question about a row lasted so long that the dark reading is too old for it: the row begins anew."""
+
+
 class Engine:
     """Runs a plan once.
 
@@ -96,6 +101,7 @@ class Engine:
         self._sleep_watch = sleep_watch or watch_for(rig.clock)
         self._stay_awake = StayAwake()
         self._sleeps, self._dark_is_old = 0, False
+        self._dark_s = math.inf
         self._stop_conditions = StopConditions(plan.schedule.file, plan.rig.file)
         self._resumed = work is not None and work is not plan.rows
         self._work = plan.rows if work is None else work
@@ -251,14 +257,17 @@ class Engine:
             self._cut = _cut_of(row)
 
     def _execute_awake(self, row: Row) -> RowData:
-        """Execute a row; after a sleep of the computer take the dark reading again, and repeat a row in which it slept."""
+        """Execute a row, after another dark reading where that is too old; repeat a row in which the computer slept."""
         self._slept()
         while True:
             if self._dark_is_old and row.kind in ("measure", "drift"):
                 self._dark_is_old = False
                 self._renew_dark(row.sample)
             sleeps = self._sleeps
-            data = self._execute_row(row)
+            try:
+                data = self._execute_row(row)
+            except _DarkIsOld:
+                continue
             self._slept()
             if self._sleeps == sleeps:
                 self._dark_is_old = self._dark_is_old and row.kind != "dark"
@@ -278,6 +287,8 @@ class Engine:
     def _commit(self, row: Row, data: RowData) -> None:
         """Write a row to the journal, and notify the listeners."""
         self._journal.commit(row, data)
+        if row.kind == "dark" and data.readings:
+            self._dark_s = data.ended_s
         total = len(self._plan.rows)
         self._measured += row.number < total and SKIPPED not in data.flags
         self._notify(RowCommitted(row, data, self._measured, total, self._seconds_left[self._done]))
@@ -293,6 +304,11 @@ class Engine:
             self._log_event("sleep", text)
         return seconds > 0.0
 
+    def _note_wait(self) -> None:
+        """A person was waited for: the dark reading may be older than the schedule allows by now."""
+        if self._clock.now() - self._dark_s > self._plan.schedule.file.dark_every_s:
+            self._dark_is_old = True
+
     def _prevent_sleep(self) -> None:
         """Keep the computer awake until the end of the run, unless the rig is in virtual time."""
         if not isinstance(self._sleep_watch, NoSleepWatch):
@@ -307,6 +323,8 @@ class Engine:
         mounts = row.kind == "mount"
 
         def execute() -> RowData:
+            if self._dark_is_old and row.kind in ("measure", "drift"):
+                raise _DarkIsOld
             if not mounts:
                 self._recovery.reconnect()
             return self._executor.execute(row)
@@ -375,6 +393,7 @@ class Engine:
             )
             text = f"{failure}{what}: {happened}"
             reply = self._operator.resolve_fault(text, skippable=skippable, device=device, axis=axis)
+            self._note_wait()
             if reply is None:
                 text = "no operator: the program itself operates this simulated rig"
                 self._log_event("no operator", f"{text} (at {what}: the run ends)", what, "the run ends", text)
@@ -468,6 +487,7 @@ class Engine:
                 self._enter(State.PAUSED)
             self._changed.wait_for(lambda: self._stop_request.requested or not self._pause)
         self._stop_request.check()
+        self._note_wait()
         self._enter(State.RUNNING)
 
     def _close_shutter(self) -> None:

@@ -78,6 +78,23 @@ def test_a_campaign_commits_every_row_in_order(plan: Plan, tmp_path: Path) -> No
     assert measured[0].data.positions["beta_encoder"] == pytest.approx(180.0, abs=0.01)
 
 
+def test_after_a_long_pause_a_dark_reading_is_taken_before_the_next_row(plan: Plan, bench: MakeBench) -> None:
+    before = next(row.number for row in plan.rows if row.kind == "measure")
+
+    def pause(event: Event) -> None:
+        if isinstance(event, RowCommitted) and event.row.number == before:
+            made.engine.pause()
+        elif isinstance(event, StateChanged) and event.state is State.PAUSED:
+            clock.sleep_until(clock.now() + 300.0)  # 60 s are allowed
+            made.engine.resume()
+
+    clock = VirtualClock()
+    made = bench(clock, [pause])
+    assert made.engine.run() is State.DONE
+    numbers = [each.row.number for each in made.journal.rows()]
+    assert numbers == [*range(before + 1), len(plan.rows), *range(before + 1, len(plan.rows))]
+
+
 def test_the_estimated_duration_is_that_of_the_journal(plan: Plan, tmp_path: Path) -> None:
     outcome = run_campaign(plan, tmp_path / "a.journal")
     assert outcome.seconds == pytest.approx(plan.seconds, rel=0.01)

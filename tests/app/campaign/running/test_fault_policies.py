@@ -163,6 +163,31 @@ def test_with_ask_the_operator_decides(
     assert any(kind == "answer" and text.startswith(answer) for kind, text in run.events)
 
 
+@pytest.mark.parametrize(("waited_s", "darks"), [(30.0, 0), (300.0, 1)])
+def test_after_a_long_question_a_dark_reading_is_taken_before_the_row(
+    make: MakePlan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, waited_s: float, darks: int
+) -> None:
+    """The dark reading may be 60 s old, and the question was open for longer."""
+    silence = Silence(1)
+    operator = FaultOperator(silence, Answer.RETRY)
+    ask = operator.resolve_fault
+
+    def ask_for_long(fault: str, /, *, skippable: bool, device: str = "", axis: UnreferencedAxis | None = None) -> Answer:
+        assert silence.opened is not None
+        clock = silence.opened.rig.clock
+        clock.sleep_until(clock.now() + waited_s)
+        return ask(fault, skippable=skippable, device=device, axis=axis)
+
+    monkeypatch.setattr(operator, "resolve_fault", ask_for_long)
+    plan = make('\n[faults]\nwire = "ask"\n')
+    run = run_with_silence(plan, tmp_path / "a.journal", silence, operator)
+    assert run.state is State.DONE
+    renewed = [len(plan.rows)] * darks
+    assert [each.row.number for each in run.rows] == [*range(ROW), *renewed, *range(ROW, len(plan.rows))]
+    assert all(each.row.kind == "dark" for each in run.rows if each.row.unplanned)
+    assert len(operator.faults) == 1
+
+
 def test_where_there_is_nobody_to_ask_no_answer_of_an_operator_is_recorded(make: MakePlan, tmp_path: Path) -> None:
     run = run_with_silence(make('\n[faults]\nwire = "ask"\n'), tmp_path / "a.journal", Silence(1))
     assert run.state is State.FAILED
