@@ -5,7 +5,7 @@ from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.desktop import MainWindow
-from goniotwin.app.desktop.bench.position_entry import PositionEntry
+from goniotwin.app.desktop.bench.position_entry import NO_ANGLE, PositionEntry
 from goniotwin.app.desktop.events.question import QuestionBox
 from goniotwin.app.rig import AXES
 from tests.app.campaign.campaign_bench import QUIET
@@ -56,7 +56,7 @@ def test_a_jammed_axis_is_stated_by_its_encoder_and_the_values_are_those_of_an_u
     jam(stations, False)
 
     click(question.buttons["Set position"])  # nothing is in the field: no answer
-    assert "give its angle" in question.problem
+    assert NO_ANGLE in question.problem
     entry.field.setText("400")
     click(question.buttons["Set position"])
     qtbot.waitUntil(lambda: "soft limits" in question.problem and question.isVisible(), timeout=READY_MS)
