@@ -208,9 +208,10 @@ def _along_rings(grid: PolarGrid, barrier: Flags) -> Fill:
     around = np.concatenate([grid.azimuth_deg + turn for turn in turns])
     here = slice(0, grid.azimuth_deg.size) if grid.mirrored else slice(grid.azimuth_deg.size, 2 * grid.azimuth_deg.size)
     for k in np.flatnonzero(np.isnan(values).any(axis=1)).tolist():
-        rows = (np.tile(each[k], len(turns)) for each in (values, u, shared, barrier))
+        row, u_row, shared_row = (np.tile(each[k], len(turns)) for each in (values, u, shared))
+        barriers = np.tile(barrier[k], len(turns))
         sine = float(np.sin(np.radians(grid.polar_deg[k])))
-        values[k], u[k], shared[k], apart[k] = (each[here] for each in _along(around, *rows, scale=sine))
+        values[k], u[k], shared[k], apart[k] = (each[here] for each in _along(around, row, u_row, shared_row, barriers, sine))
     return values, u, shared, apart
 
 

@@ -114,8 +114,8 @@ def test_over_a_saturated_peak_or_a_blocked_direction_there_is_no_value(flag: st
     d, undisturbed = dataset(made), dataset(whole)
     with pytest.raises(goniotwin.GoniotwinError, match=f"nothing is interpolated beside {flag} directions; the nearest"):
         d.at(sigma_deg=30, theta_deg=1.3, phi_deg=40)
-    far = {"sigma_deg": 30, "theta_deg": 21.3, "phi_deg": 40}
-    assert d.at(**far) == undisturbed.at(**far)
+    far, same = (each.at(sigma_deg=30, theta_deg=21.3, phi_deg=40) for each in (d, undisturbed))
+    assert far == same
     assert goniotwin.compare(undisturbed, d).lights[0].index.size == np.sum(~lost)
     dead = dataset(replace(made, flags=np.where(lost, "dead", "")))
     assert math.isfinite(dead.at(sigma_deg=30, theta_deg=1.3, phi_deg=40).value)

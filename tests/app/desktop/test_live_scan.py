@@ -189,7 +189,7 @@ def test_values_by_two_standards_are_those_of_the_journal(write_rig: Writer, wri
     live = LiveScan(plan)
     assert run_plan(plan, tmp_path / "a.journal", listeners=[watch(live)]).state is State.DONE
     dataset = reduced(tmp_path / "a.journal")
-    assert any("standards: second gives" in note and "they agree" in note for note in dataset.notes)
+    assert any("standards: second / etalon" in note and "they agree" in note for note in dataset.notes)
     assert check_all_scans(live, dataset) == 1
 
 
