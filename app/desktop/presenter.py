@@ -67,6 +67,8 @@ STATUS = {
     State.RECOVERING: "Device fault: reconnecting.",
     State.STOPPING: "Stopping.",
 }
+STOPPED_RUN = "Stopped after"
+"""Begins the status of a run that was stopped; the axes may report their stop after it."""
 END = {State.DONE: "done", State.IDLE: "stopped", State.FAILED: "failed"}
 
 
@@ -388,7 +390,7 @@ class Presenter(QObject):
         if report.lost:
             self._view.show_status(MAIN_SWITCH, error=True)
             self._log.add(MAIN_SWITCH, serious=True)
-        elif report.confirmed and not self.busy:
+        elif report.confirmed and not self.busy and not self._view.status.startswith(STOPPED_RUN):
             self._view.show_status("All axes have stopped.")
 
     def _show_plan(self, message: PlanBegun | PlanMade | PlanRefused) -> None:
@@ -526,7 +528,7 @@ class Presenter(QObject):
         elif end.state is State.IDLE:
             why = "" if end.reason in ("", "stopped") else f": {end.reason}"
             self._view.show_status(
-                f"Stopped after {done} of {of} rows{why}. They are saved. Resume continues, Start begins a new campaign."
+                f"{STOPPED_RUN} {done} of {of} rows{why}. They are saved. Resume continues, Start begins a new campaign."
             )
         else:
             self._view.show_status(f"Failed after {done} of {of} rows, which are saved: {end.reason}", error=True)

@@ -9,6 +9,11 @@ BY_HAND: dict[str, tuple[tuple[str, str, str], ...]] = {
             "The move is refused, because the axis is unreferenced.",
         ),
         (
+            "209 is zero after a power-up",
+            "Move an axis with an encoder off zero. Switch the controller off and on. Run `goniotwin verify-device`.",
+            "Its check of the encoder says *lost in a reset*. TMCL-IDE shows parameter 209 near zero.",
+        ),
+        (
             "73 = 1234 locks",
             "Nothing to do where `verify-device` connects. Where it reports a locked module, set parameter 73 to 4321.",
             "The module then accepts its heartbeat.",
