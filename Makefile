@@ -34,8 +34,14 @@ test: $(READY)
 	wait $$checks; types=$$?; cat $(VENV)/types.log; \
 	test $$tests -eq 0 && test $$types -eq 0
 
+# The slow tests of the package check it with twine, and a clone with Pyright.
+RELEASE := $(VENV)/release
+$(RELEASE): $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[release]'
+	@touch $(RELEASE)
+
 # The slow proofs, in full; run before a change of what they prove is called done.
-test-long: $(READY)
+test-long: $(RELEASE)
 	$(PYTEST) -n 3 -m "long or hypothesis" --hypothesis-profile=long
 
 # The lowest versions that pyproject.toml allows, in an environment of their own, with the tests that read and write files.

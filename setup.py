@@ -21,4 +21,5 @@ def without_relative_links(text: str) -> str:
 
 if __name__ == "__main__":
     readme = (Path(__file__).parent / "README.md").read_text(encoding="utf-8")
+    readme = readme.partition("\n## Read on\n")[0] + "\nThe source distribution has all pages, in the folder `docs`.\n"
     setup(long_description=without_relative_links(readme), long_description_content_type="text/markdown")

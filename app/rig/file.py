@@ -241,9 +241,11 @@ class RigFile(Generic[AnyAxes, AnyMonochromator, AnyPhotodiodes, AnyMonitor, Any
                 raise ValueError(f"{'.'.join(map(str, device.places[0]))}: {error}") from None
         virtual = [address for address in self.addresses if address.startswith(TWIN)]
         if virtual and self.simulated is None:
-            raise ValueError(f"{virtual[0]} is a virtual device, so the file needs a [simulated] table; add it")
+            raise ValueError(f"{virtual[0]} is a virtual device: give the address of the real one, or add a [simulated] table")
         if virtual and self.twin is None:
-            raise ValueError(f"{virtual[0]} is a virtual device, so the file needs a [twin] table that describes it; add it")
+            raise ValueError(
+                f"{virtual[0]} is a virtual device: give the address of the real one, or add a [twin] table that describes it"
+            )
         names = {address.split("/")[2] for address in virtual}
         if len(names) > 1:
             raise ValueError(f"its twin:// addresses have several virtual rigs: {', '.join(sorted(names))}; use one name")

@@ -111,7 +111,11 @@ def _abort(session: CheckSession, device: Monochromator, _subject: str) -> Check
         session.wait(pending)
     here, took = device.wavelength_nm(), session.rig.clock.now() - begun
     session.wait(device.start_wavelength(start))
-    return judged(abs(here - target) > 0.1 * distance, expected, f"at {here:g} nm, answered {took:.2f} s after ABORT")
+    return judged(
+        abs(here - target) > 0.1 * distance,
+        expected,
+        f"it stopped at {here:g} nm; its position was read {took:.2f} s after ABORT",
+    )
 
 
 def _change_s(device: Monochromator, start_nm: float, target_nm: float) -> float:

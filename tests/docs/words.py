@@ -12,6 +12,7 @@ from tests.conftest import REPOSITORY
 from tests.docs.snippets import FENCE, pages
 
 LONGEST = 35
+OTHERS = [REPOSITORY / name for name in ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")]
 ODD = re.compile(
     r"\b(whoever|told|tells?|telling|heed(?:s|ed)?|foretold|foretells?|foresee[ns]?|darks|mend(?:s|ed)?|reckon(?:s|ed)?|whiles|"
     r"doubts|wherever|hereby|thereof|whereby|lest|heretofore|by and by|gone on with|begun with|own light|back door|as it were|"
@@ -80,7 +81,7 @@ def line(name: str, found: Prose) -> str:
 def main() -> None:
     print(f"{'page':42} words  sentences  mean  over {LONGEST}  grade  odd words")
     total: list[Prose] = []
-    for page in pages():
+    for page in [*pages(), *OTHERS]:
         found = page_prose(page)
         total.append(found)
         counted = sorted({(found.odd.count(each), each) for each in found.odd}, reverse=True)[:4]

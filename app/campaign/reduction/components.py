@@ -33,7 +33,7 @@ from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.plant.disturbances import SharedBy
 
 DETECTED = 3.0
-"""A value below so many of its standard uncertainties is lost in its noise: below the detection limit."""
+"""A value below so many of its standard uncertainties is below the detection limit."""
 
 
 @dataclass(frozen=True)

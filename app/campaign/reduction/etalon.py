@@ -256,7 +256,7 @@ def _absolute_scale(data: ArcRows, settings: ReductionSettings) -> Floats:
 
 
 def flag_values(data: ArcRows, settings: ReductionSettings) -> ArcRows:
-    """Flag what is blocked, saturated, dead, or lost in its noise."""
+    """Flag what is blocked, saturated, dead, or below the detection limit."""
     del settings
     sample, etalon = data.sample, data.etalon
     too_low = data.flags["no-etalon"] & ~data.blocked

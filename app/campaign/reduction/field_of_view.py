@@ -140,7 +140,7 @@ class FieldOfView:
 class MergedDirections:
     """Means of points of one direction and setting, in order along the arcs.
 
-    `u_noise` is what decides whether a value is lost in its noise. `variance` is that of the part of which neighbouring values
+    `u_noise` decides whether a value is below its detection limit. `variance` is that of the part of which neighbouring values
     have errors of their own. `sigma` is in rad. `which` is the index of each point's mean, and
     `opposite` whether a point's own half plane is the one opposite to that of its direction's azimuth.
     """
@@ -241,7 +241,7 @@ def _evaluate(values: MergedDirections, instrument: Instrument, moved_deg: Float
         # A value with light next to one without, further apart than the field is wide: the shape of the lobe is unknown.
         alone = light & ~(reach(directions.plane, directions.polar, window, MAX_DISTANCE_RAD) <= window)
         estimate = np.where(unknown & ~alone, 0.5 * variance * effect, np.nan)
-    # A neighbour that is lost in its noise is at most at its limit.
+    # A neighbour below the detection limit is at most at that limit.
     logarithm = np.log(np.maximum(np.maximum(values.bsdf, limit), 1e-300))
     change = np.where(np.diff(directions.plane) == 0, np.diff(logarithm), 0.0)
     slope = np.abs(change) / np.maximum(np.diff(directions.polar), SMALLEST)

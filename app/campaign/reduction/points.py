@@ -117,7 +117,7 @@ FLAGS: dict[str, Flag] = {
         "see goniotwin closure",
     ),
     # Or in the uncertainty of the signature: the value is right, but its relative uncertainty is large.
-    "under-range": Flag("lost in its noise"),
+    "under-range": Flag("below the detection limit"),
     "field": Flag("the effect of the field of view cannot be estimated: it is neither corrected nor in u_bsdf"),
     # A good value with a warning: a slope is what turns an error of an angle into one of the value.
     "steep": Flag(

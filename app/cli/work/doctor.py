@@ -29,13 +29,19 @@ PACKAGES = {
     "numpy": "numpy",
     "numba": "numba",
     "h5py": "h5py",
+    "pydantic": "pydantic",
+    "matplotlib": "matplotlib",
+    "Jinja2": "jinja2",
     "pyserial": "serial",
     "pymodbus": "pymodbus.client",
     "pyusb": "usb.core",
+    "libusb-package": "libusb_package",
+    "pyqtgraph": "pyqtgraph",
     "PySide6-Essentials": "PySide6.QtWidgets",
 }
 """The module to import, by the name of its package."""
-WINDOW_ONLY = "PySide6-Essentials"
+QT = "PySide6-Essentials"
+WINDOW_ONLY = (QT, "pyqtgraph")
 REINSTALL = "install goniotwin again"
 QT_LIBRARIES = (
     "on Debian and Ubuntu: sudo apt-get install -y libegl1 libgl1 libxkbcommon0 libdbus-1-3 libfontconfig1 libglib2.0-0"
@@ -125,7 +131,7 @@ def versions() -> Iterator[Finding]:
     """Program, Python, system, and the libraries, each imported in a process of its own."""
     yield Finding("goniotwin", "ok", f"{__version__}, Python {platform.python_version()}, {platform.platform()}")
     for package, module in PACKAGES.items():
-        window_only = package == WINDOW_ONLY
+        window_only = package in WINDOW_ONLY
         level: Level = "note" if window_only else "problem"
         try:
             version = metadata.version(package)
@@ -136,7 +142,7 @@ def versions() -> Iterator[Finding]:
             text = "the window cannot open, commands measure without it: " if window_only else ""
             yield Finding(package, level, f"{version}: {text}{fault}", QT_LIBRARIES if window_only else REINSTALL)
         else:
-            yield Finding(package, "ok", version)
+            yield Finding(package, "ok", f"{version}, with its system libraries" if package == QT else version)
 
 
 def import_fault(module: str) -> str:
@@ -289,7 +295,7 @@ def logs() -> Iterator[Finding]:
 
 
 def rig_ports(rig: Path) -> Iterator[Finding]:
-    """The ports of a rig file: whether they exist, may be opened, and are free. Raises UserError for the file."""
+    """The ports of a rig file: whether another program has one, and whether a serial one may be opened. Raises UserError."""
     # A library that is broken ends this part of the examination alone.
     from goniotwin.app.rig import read_rig
     from goniotwin.app.rig.addresses import RTU, TWIN, resolve_port
@@ -310,4 +316,4 @@ def rig_ports(rig: Path) -> Iterator[Finding]:
         elif port.startswith("/"):
             yield port_finding("rig", port)
         else:
-            yield Finding("rig", "ok", f"{address}: is free; goniotwin devices --rig {rig} asks the device")
+            yield Finding("rig", "ok", f"{address}: no other goniotwin uses it; ask the device: goniotwin devices --rig {rig}")
