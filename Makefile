@@ -22,14 +22,12 @@ test: $(READY)
 	  $(BIN)/python -c "from goniotwin.app.cli.work.doctor import QT_LIBRARIES; print(QT_LIBRARIES)"; exit 1; }
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
 	@# The types take a minute of one core: at low priority, in what the tests leave.
-	@# One process reads the modules of the tests first: three would rewrite their assertions three times, at once.
 	@echo "mypy and lint-imports run beside the tests; first the kernels are compiled, on both cores"; \
 	{ nice -n 15 $(BIN)/mypy && PYTHONPATH=$(VENV)/links $(BIN)/lint-imports; } >$(VENV)/types.log 2>&1 & checks=$$!; \
 	$(BIN)/python -m tests.kernels forward >$(VENV)/kernels.log 2>&1 & kernels=$$!; \
 	trap 'kill $$checks $$kernels 2>/dev/null' EXIT; trap 'exit 130' INT TERM; \
 	$(BIN)/python -m tests.kernels fast || exit 1; \
 	wait $$kernels || { cat $(VENV)/kernels.log; exit 1; }; \
-	$(PYTEST) --collect-only --quiet -m "not long" >/dev/null; \
 	$(PYTEST) -n 3 -m "not long"; tests=$$?; \
 	wait $$checks; types=$$?; cat $(VENV)/types.log; \
 	test $$tests -eq 0 && test $$types -eq 0
