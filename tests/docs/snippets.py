@@ -2,12 +2,16 @@
 
 A comment above a block, `<!-- not run: REASON -->`, keeps it from running where it cannot: a real port, another shell.
 `<!-- status 2 -->` is the exit status of its last command. `<!-- output -->` above a block of text: its lines are in the output
-of the block before, in this order. A page with `<!-- long -->` above one of its blocks, or with a command of SLOW, runs in
-`make test-long` alone.
+of the block before, in this order. `<!-- file NAME -->`: the block is the content of that file. A page with `<!-- long -->`
+above one of its blocks, or with a command of SLOW, runs in `make test-long` alone.
 
-Without a mark these are not run, only held against the commands and options that there are: a synopsis, which is an indented
-block, or a line with brackets or with a word in capitals in the place of a file; and what opens a window or serves until it is
-stopped. Lines of other programs are not run.
+Without a mark these are not run, only held against the commands and options that there are: a synopsis, which is a line with
+brackets or with a word in capitals in the place of a file; and what opens a window or serves until it is stopped. Lines of
+other programs are not run.
+
+    python -m tests.docs.snippets PAGE...
+
+runs pages in the current folder: Python in this process, and the command `goniotwin` that is on the path.
 """
 
 import contextlib
@@ -15,6 +19,8 @@ import doctest
 import io
 import re
 import shlex
+import subprocess
+import sys
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,17 +28,16 @@ from pathlib import Path
 from typing import Any
 
 from tests.conftest import REPOSITORY
-from tests.system.command import invoke
+from tests.system.command import Call, invoke
 
 README = REPOSITORY / "README.md"
 DOCS = REPOSITORY / "docs"
 FENCE = re.compile(r"^( *)(`{3,})([^\n`]*)\n(.*?)^ *\2 *$", re.DOTALL | re.MULTILINE)
-INDENTED = re.compile(r"(?<=\n\n)((?:(?: {4}[^\n]*)?\n)*(?: {4}[^\n]*\n))(?=\n)")
-MARK = re.compile(r"<!-- (not run: [^>]+|long|output|status \d+) -->\s*\Z")
+MARK = re.compile(r"<!-- (not run: [^>]+|long|output|status \d+|file \S+) -->\s*\Z")
 SYNOPSIS = re.compile(r"^[A-Z]{2,}|[\[\]|]|^\.\.\.$")
 SERVING = ("serve", "station", "usb")
 LANGUAGE = {"pycon": "python"}
-SLOW = ("rehearse", "run", "prove", "demo", "tolerances")
+SLOW = ("rehearse", "run", "prove", "demo", "tolerances", "simulate", "align")
 """Commands that take seconds."""
 COMMAND_LANGUAGES = ("sh", "bash", "console", "powershell", "bat")
 
@@ -46,7 +51,6 @@ class Block:
     language: str
     text: str
     mark: str
-    indented: bool
 
     def __str__(self) -> str:
         return f"{self.page.relative_to(REPOSITORY).as_posix()}:{self.line}"
@@ -55,6 +59,8 @@ class Block:
     def lines(self) -> list[list[str]]:
         """The words of each command line, without a prompt and comments."""
         text = self.text.replace("\\\n", " ") if self.language in COMMAND_LANGUAGES else ""
+        if self.language == "powershell":
+            text = text.replace("\\", "/")
         return [words for line in text.splitlines() if (words := shlex.split(line.removeprefix("$ "), comments=True))]
 
     def reason(self, words: list[str]) -> str:
@@ -63,7 +69,9 @@ class Block:
             return self.mark.removeprefix("not run: ")
         if words[0] != "goniotwin":
             return f"the program {words[0]}"
-        if self.indented or any(SYNOPSIS.search(word) for word in words):
+        if words[1:] in (["--version"], ["--help"]):
+            return ""
+        if any(SYNOPSIS.search(word) for word in words):
             return "a synopsis"
         command = next((word for word in words[1:] if not word.startswith("-")), "desktop")
         return {"desktop": "opens a window"}.get(command, "serves until it is stopped" if command in SERVING else "")
@@ -81,28 +89,24 @@ def pages() -> list[Path]:
 
 
 def blocks(page: Path) -> list[Block]:
-    """The fenced blocks of a page, and the indented ones of the README and of other pages without fences, in their order."""
+    """The fenced blocks of a page in their order. A block without a language has the language `""`."""
     text = page.read_text(encoding="utf-8")
-    found = [(match, LANGUAGE.get(name := match[3].strip(), name), match[4], match[1]) for match in FENCE.finditer(text)]
-    rest = FENCE.sub(lambda match: re.sub(r"[^\n]", "-", match[0]), text)
-    found += [(match, indented_language(match[0]), match[0], "    ") for match in INDENTED.finditer(rest)]
     return [
         Block(
             page,
             text.count("\n", 0, match.start()) + 1,
-            language,
-            unindented(content, indent),
+            LANGUAGE.get(name := match[3].strip(), name),
+            unindented(match[4], match[1]),
             mark_before(text[: match.start()]),
-            indented=match[0].startswith("    ") and "```" not in match[0],
         )
-        for match, language, content, indent in sorted(found, key=lambda each: each[0].start())
-        if language and not language.startswith("{")
+        for match in FENCE.finditer(text)
+        if not match[3].startswith("{")
     ]
 
 
-def indented_language(text: str) -> str:
-    first = text.split(maxsplit=1)[0]
-    return {"goniotwin": "sh", "make": "sh", ">>>": "python", "import": "python"}.get(first, "")
+def without_fences(page: Path) -> str:
+    """The text of a page between its fenced blocks."""
+    return FENCE.sub("", page.read_text(encoding="utf-8"))
 
 
 def unindented(text: str, indent: str) -> str:
@@ -137,10 +141,10 @@ def takes_long(page: Path) -> bool:
     return any(block.mark == "long" for block in blocks(page)) or any(slow)
 
 
-def run_page(page: Path, outputs: list[str] | None = None) -> int:
+def run_page(page: Path, outputs: list[str] | None = None, call: Call = invoke) -> int:
     """Run the blocks of a page in the current folder, in order; returns the number of commands and blocks of Python.
 
-    `outputs` gets what each command prints.
+    `outputs` gets what each command prints. `call` runs a command.
     """
     names: dict[str, Any] = {}
     count = 0
@@ -148,12 +152,14 @@ def run_page(page: Path, outputs: list[str] | None = None) -> int:
     for block in blocks(page):
         if block.mark == "output":
             check_output(block, output)
+        elif block.mark.startswith("file "):
+            Path(block.mark.removeprefix("file ")).write_text(block.text, encoding="utf-8")
         elif block.runs and block.language == "python":
             output = run_python(block, names)
             count += 1
         elif block.runs:
             commands = [words for words in block.lines if not block.reason(words)]
-            done = [invoke(*words[1:]) for words in commands]
+            done = [call(*words[1:]) for words in commands]
             expected = int(block.mark.removeprefix("status ")) if block.mark.startswith("status") else 0
             for words, each in zip(commands, done, strict=True):
                 status = expected if each is done[-1] else 0
@@ -187,3 +193,13 @@ def check_output(block: Block, output: str) -> None:
         if line not in ("...", "…"):
             assert line in lines[place:], f"{block}: {line!r} is not in the output there:\n{output}"
             place = lines.index(line, place) + 1
+
+
+def installed(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run the command `goniotwin` that is on the path."""
+    return subprocess.run(["goniotwin", *map(str, arguments)], capture_output=True, text=True, check=False)
+
+
+if __name__ == "__main__":
+    for each in sys.argv[1:]:
+        print(each, run_page(REPOSITORY / each, call=installed), flush=True)

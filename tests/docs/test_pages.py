@@ -54,11 +54,8 @@ def test_each_public_name_has_an_example_and_they_are_few() -> None:
 
 
 @pytest.mark.long
-def test_the_cycle_measures_a_measured_table_again_within_its_uncertainty(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_cycle_measures_a_measured_table_again_within_its_uncertainty(folder: Path) -> None:
     """docs/analyse/figures.md: measure, convert, rehearse with the table as a sample, compare."""
-    monkeypatch.chdir(tmp_path)
     outputs: list[str] = []
     run_page(DOCS / "analyse" / "figures.md", outputs)
     found = next(json.loads(each) for each in outputs if '"formula_5"' in each)
@@ -67,5 +64,5 @@ def test_the_cycle_measures_a_measured_table_again_within_its_uncertainty(
     assert all(each["largest_abs_z"] < 1.0 for each in found["lights"])
     assert found["formula_5"]["percent"] < 1.0
     assert sum(each["directions"] for each in found["lights"]) >= 100
-    assert (tmp_path / "cycle.png").stat().st_size > 10_000
-    assert (tmp_path / "measured.html").exists()
+    assert (folder / "cycle.png").stat().st_size > 10_000
+    assert (folder / "measured.html").exists()

@@ -2,9 +2,12 @@
 
 import contextlib
 import json
+import os
 import re
 import shlex
 import shutil
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -14,8 +17,9 @@ import typer.main
 
 from goniotwin.app.cli.main import app
 from tests.conftest import REPOSITORY
-from tests.docs.snippets import COMMAND_LANGUAGES, DOCS, blocks, pages, run_page, takes_long
+from tests.docs.snippets import COMMAND_LANGUAGES, DOCS, README, Block, blocks, pages, run_page, takes_long, without_fences
 from tests.system.command import invoke
+from tests.test_package import wheel as wheel  # a fixture
 
 
 def name(page: Path) -> str:
@@ -24,15 +28,13 @@ def name(page: Path) -> str:
 
 pytestmark = pytest.mark.xdist_group("pages")
 TUTORIAL = DOCS / "tutorial.md"
-BEGIN_EMPTY = (TUTORIAL, DOCS / "operate" / "procedures.md")
+BEGIN_EMPTY = (README, TUTORIAL, DOCS / "install.md", DOCS / "operate" / "procedures.md", DOCS / "rig" / "arrival.md")
 WITH_OWN_TEST = (DOCS / "analyse" / "python.md", DOCS / "analyse" / "figures.md")
 """In test_pages.py."""
-STARTS = {
-    REPOSITORY / "tests" / "golden" / "data" / "finished.journal": "my.journal",
-    REPOSITORY / "examples" / "proof" / "rig.toml": "rig.toml",
-    REPOSITORY / "examples" / "proof" / "alignment.toml": "alignment.toml",
-}
-"""Files that a page's commands begin with, and their names there."""
+BY_THE_WHEEL = tuple(f"docs/{page}.md" for page in ("tutorial", "analyse/figures", "exchange/formats", "analyse/python"))
+"""Pages that an installed wheel runs too, one after the other."""
+LEFT = ("examples", "run", "export")
+"""Commands of the tutorial whose files other pages begin with: `examples`, `first.journal`, `first.csv`, `first.ddr`."""
 LANGUAGES = {*COMMAND_LANGUAGES, "python", "toml", "json", "text", "mermaid", "sql"}
 WITH_RUNS = [page for page in pages() if page not in WITH_OWN_TEST and any(block.runs for block in blocks(page))]
 CASES = [pytest.param(page, marks=pytest.mark.long if takes_long(page) else (), id=name(page)) for page in WITH_RUNS]
@@ -41,12 +43,11 @@ SPAN = re.compile(r"(?<!`)`(goniotwin (?!rayset`)[a-z][^`]*)`(?!`)")  # `goniotw
 
 @pytest.fixture(scope="session")
 def left_by_tutorial(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the example files and the data file that the tutorial makes. Tests only read it."""
+    """A folder with the files that the tutorial makes by the commands LEFT. Tests only read it."""
     base = tmp_path_factory.mktemp("tutorial")
-    lines = [words for block in blocks(TUTORIAL) for words in block.lines] if TUTORIAL.exists() else []
     with contextlib.chdir(base):
-        for words in lines:
-            if words[:2] in (["goniotwin", "examples"], ["goniotwin", "run"]):
+        for words in (words for block in blocks(TUTORIAL) for words in block.lines):
+            if words[1] in LEFT:
                 assert invoke(*words[1:]).returncode == 0, words
     return base
 
@@ -59,19 +60,13 @@ def folder(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> Path:
-    """The current folder of a page: what demo and tutorial left, and the files that pages call `my` and `rig.toml`.
-
-    Those of BEGIN_EMPTY begin in an empty one.
-    """
+    """The current folder of a page: what demo and tutorial left. Those of BEGIN_EMPTY begin in an empty one."""
     monkeypatch.chdir(tmp_path)
     callspec = getattr(request.node, "callspec", None)
     if callspec is not None and callspec.params["page"] in BEGIN_EMPTY:
         return tmp_path
     shutil.copytree(left_by_tutorial, tmp_path, dirs_exist_ok=True)
     shutil.copytree(demo_run[0], tmp_path / "demo", ignore=shutil.ignore_patterns("wires", "lock", "result.json"))
-    for source, own in STARTS.items():
-        shutil.copy(source, tmp_path / own)
-    assert invoke("export", "my.journal", "--out", "my.h5").returncode == 0
     return tmp_path
 
 
@@ -80,13 +75,54 @@ def test_the_blocks_of_a_page_run(page: Path, folder: Path) -> None:
     assert run_page(page) > 0
 
 
+@pytest.mark.long
+def test_the_pages_run_in_an_empty_folder_with_an_installed_wheel(wheel: Path, tmp_path: Path) -> None:
+    """The commands by the program of the wheel, the Python of the pages by its package."""
+    prefix, folder = tmp_path / "installed", tmp_path / "empty"
+    folder.mkdir()
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps", "--disable-pip-version-check"]
+    subprocess.run([*pip, "--target", str(prefix), str(wheel)], check=True)
+    environment = {
+        **os.environ,
+        "PATH": os.pathsep.join([str(prefix / "bin"), os.environ["PATH"]]),
+        "PYTHONPATH": os.pathsep.join([str(prefix), str(REPOSITORY)]),  # the tests are in the repository
+    }
+
+    def run(*command: str) -> str:
+        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    assert Path(run(sys.executable, "-c", "import goniotwin; print(goniotwin.__file__)").strip()).is_relative_to(prefix)
+    found = run(sys.executable, "-m", "tests.docs.snippets", *BY_THE_WHEEL).split()
+    assert tuple(found[::2]) == BY_THE_WHEEL
+    assert sum(map(int, found[1::2])) > 35
+
+
 def test_every_block_has_a_language_that_is_checked_and_commands_that_are_known() -> None:
     for page in pages():
         for block in blocks(page):
             assert block.language in LANGUAGES, f"{block}: {block.language!r}: none of {', '.join(sorted(LANGUAGES))}"
             for words in block.lines:
-                if words[0] == "goniotwin":
+                if words[0].rpartition("/")[2] == "goniotwin":
                     check_options(str(block), words[1:])
+
+
+def test_no_command_is_in_an_indented_block_or_in_a_block_of_text() -> None:
+    """There it would not be run."""
+    commands = "|".join(typer.main.get_command(app).commands)  # type: ignore[attr-defined]  # a group has them
+    line = re.compile(rf"^ *(?:\$ )?goniotwin (?:--version|(?:{commands})(?: |$))", re.MULTILINE)
+    for page in pages():
+        assert [block for block in blocks(page) if not block.lines and line.search(block.text)] == []
+        indented = [each for each in without_fences(page).splitlines() if each.startswith("    ")]
+        assert [each for each in indented if line.search(each)] == [], page
+
+
+def test_each_block_of_python_can_be_compiled_also_one_that_is_not_run() -> None:
+    found = [block for page in pages() for block in blocks(page) if block.language == "python" and not block.runs]
+    assert found
+    for block in found:
+        compile(block.text, str(block), "exec")
 
 
 def test_the_commands_in_sentences_are_known_with_their_options() -> None:
@@ -102,7 +138,7 @@ def check_options(where: str, words: list[str]) -> None:
     while words and hasattr(command, "commands") and re.fullmatch(r"[a-z][a-z0-9-]*", words[0]):
         assert words[0] in command.commands, f"{where}: there is no command {words[0]}"
         command, words = command.commands[words[0]], words[1:]
-    known = {"--help", *(option for each in command.params for option in (*each.opts, *each.secondary_opts))}
+    known = {"--help", "--log-file", *(option for each in command.params for option in (*each.opts, *each.secondary_opts))}
     for option in re.findall(r"(?<![\w-])--[a-z][a-z0-9-]*", " ".join(words)):
         assert option in known, f"{where}: there is no option {option}"
 
@@ -119,19 +155,33 @@ def test_the_blocks_of_json_and_toml_can_be_read() -> None:
                     json.loads(part)
 
 
+def counted(block: Block) -> int:
+    """How many commands and snippets of a block are run."""
+    return int(block.language == "python" and block.runs) + sum(not block.reason(words) for words in block.lines)
+
+
 def report() -> str:
     """By page what runs, and each command that does not, with its reason: `python -m tests.docs.test_snippets`."""
     lines = []
+    totals = {False: 0, True: 0}
+    reasons: dict[str, int] = {}
     for page in pages():
         found = blocks(page)
-        commands = [(block, words, block.reason(words)) for block in found for words in block.lines]
+        commands = [(block, shlex.join(words)[:80], block.reason(words)) for block in found for words in block.lines]
+        unused = [block for block in found if block.language == "python" and not block.runs]
+        commands += [(block, "Python", block.mark.removeprefix("not run: ")) for block in unused]
         snippets = sum(block.language == "python" and block.runs for block in found)
         tables = sum(block.language in ("toml", "json") for block in found)
         late = takes_long(page)
+        totals[late] += sum(map(counted, found))
         if found:
             running = sum(not reason for _, _, reason in commands)
             lines.append(f"{name(page):40} {running:4} commands {snippets:3} Python {tables:3} TOML, JSON{'  (long)' * late}")
-        lines += [f"    line {block.line}: {shlex.join(words)[:80]}: {reason}" for block, words, reason in commands if reason]
+        lines += [f"    line {block.line}: {text}: {reason}" for block, text, reason in commands if reason]
+        for reason in (reason for _, _, reason in commands if reason):
+            reasons[reason] = reasons.get(reason, 0) + 1
+    lines.append(f"run: {totals[False]} in make test, {totals[True]} in make test-long; not run: {sum(reasons.values())}")
+    lines += [f"    {count:3} {reason}" for reason, count in sorted(reasons.items())]
     return "\n".join(lines)
 
 
