@@ -28,15 +28,13 @@ def name(page: Path) -> str:
 
 pytestmark = pytest.mark.xdist_group("pages")
 TUTORIAL = DOCS / "tutorial.md"
-BEGIN_EMPTY = (README, TUTORIAL, DOCS / "install.md", DOCS / "operate" / "procedures.md", DOCS / "rig" / "arrival.md")
-WITH_OWN_TEST = (DOCS / "analyse" / "python.md", DOCS / "analyse" / "figures.md")
-"""In test_pages.py."""
-BY_THE_WHEEL = tuple(f"docs/{page}.md" for page in ("tutorial", "analyse/figures", "exchange/formats", "analyse/python"))
-"""Pages that an installed wheel runs too, one after the other."""
+BEGIN_EMPTY = (README, DOCS / "install.md", DOCS / "operate" / "procedures.md", DOCS / "rig" / "arrival.md")
+BY_THE_WHEEL = (TUTORIAL, DOCS / "analyse" / "figures.md", DOCS / "exchange" / "formats.md", DOCS / "analyse" / "python.md")
+"""Pages that an installed wheel runs in this order. Those on figures and Python have tests in test_pages.py, too."""
 LEFT = ("examples", "run", "export")
 """Commands of the tutorial whose files other pages begin with: `examples`, `first.journal`, `first.csv`, `first.ddr`."""
 LANGUAGES = {*COMMAND_LANGUAGES, "python", "toml", "json", "text", "mermaid", "sql"}
-WITH_RUNS = [page for page in pages() if page not in WITH_OWN_TEST and any(block.runs for block in blocks(page))]
+WITH_RUNS = [page for page in pages() if page not in BY_THE_WHEEL and any(block.runs for block in blocks(page))]
 CASES = [pytest.param(page, marks=pytest.mark.long if takes_long(page) else (), id=name(page)) for page in WITH_RUNS]
 SPAN = re.compile(r"(?<!`)`(goniotwin (?!rayset`)[a-z][^`]*)`(?!`)")  # `goniotwin rayset` is the name of a file format
 
@@ -94,8 +92,8 @@ def test_the_pages_run_in_an_empty_folder_with_an_installed_wheel(wheel: Path, t
         return done.stdout
 
     assert Path(run(sys.executable, "-c", "import goniotwin; print(goniotwin.__file__)").strip()).is_relative_to(prefix)
-    found = run(sys.executable, "-m", "tests.docs.snippets", *BY_THE_WHEEL).split()
-    assert tuple(found[::2]) == BY_THE_WHEEL
+    found = run(sys.executable, "-m", "tests.docs.snippets", *map(name, BY_THE_WHEEL)).split()
+    assert found[::2] == [name(page) for page in BY_THE_WHEEL]
     assert sum(map(int, found[1::2])) > 35
 
 
