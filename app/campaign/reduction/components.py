@@ -40,6 +40,7 @@ DETECTED = 3.0
 class Kind:
     """What the errors of a component are like. All is False of inputs that values of any direction have in common.
 
+    `words` name it for a reader; empty of one of files that is not named here.
     `inputs` describes an input of the readings by its number (any, of one that all values have); None of what each value has
     alone, and of inputs that follow from files and poses (scale.py, angles.py).
     `independent`: they differ between neighbouring directions, each of which has readings of its own at the sample and at the
@@ -52,6 +53,7 @@ class Kind:
     `of_direction`: they are the same for two values of one direction, or of a direction and its mirror image.
     """
 
+    words: str = ""
     inputs: Describe | None = None
     independent: bool = False
     added: bool = False
@@ -65,38 +67,40 @@ class Kind:
 OTHER = Kind()
 """Of a component of files that is not named here."""
 KINDS: Mapping[str, Kind] = {
-    "noise": Kind(independent=True, added=True, unlit=True),
-    "resolution": Kind(independent=True, added=True, unlit=True),
-    "ray_tracing": Kind(independent=True, added=True),
-    "dark": Kind(dark_input, added=True, unlit=True),
-    "lamp": Kind(lamp_input, of_row=True),
-    "monitor": Kind(monitor_input, of_quotient=True, of_row=True),
-    "gain": Kind(gain_input, of_quotient=True),
-    declared.LINEARITY.name: Kind(declared_input(declared.LINEARITY), of_quotient=True),
-    declared.MONITOR_DRIFT.name: Kind(declared_input(declared.MONITOR_DRIFT), of_quotient=True),
-    declared.MONITOR_LINEARITY.name: Kind(declared_input(declared.MONITOR_LINEARITY), of_quotient=True),
-    declared.CROSSTALK.name: Kind(declared_input(declared.CROSSTALK), added=True, unlit=True),
-    "signature": Kind(signature_common, added=True),
-    "signature_reading": Kind(signature_input, independent=True, added=True),
-    "etalon_reading": Kind(etalon_input, independent=True),
-    "calibration": Kind(calibration_input),
-    declared.FIELD_OF_VIEW.name: Kind(declared_input(declared.FIELD_OF_VIEW)),
-    "field_noise": Kind(independent=True, added=True),
-    "field_unresolved": Kind(independent=True, added=True),
-    "second_order": Kind(of_angles=True),
-    "slope_unresolved": Kind(of_angles=True),
-    "pose": Kind(),
-    "position": Kind(),
-    "photodiode_angle": Kind(),
-    "certificate": Kind(of_direction=True),
-    "standards": Kind(of_direction=True),
-    "open_beam": Kind(of_direction=True),
-    "slit_image": Kind(),
-    declared.WAVELENGTH.name: Kind(of_direction=True),
-    "bandwidth": Kind(of_direction=True),
-    "band_shape": Kind(band_shape_input, of_direction=True),
-    declared.MONOCHROMATOR_STRAY.name: Kind(of_direction=True),
-    "polarisation": Kind(of_direction=True),
+    "noise": Kind("noise of the readings", independent=True, added=True, unlit=True),
+    "resolution": Kind("step of the converter", independent=True, added=True, unlit=True),
+    "ray_tracing": Kind("scatter of traced rays", independent=True, added=True),
+    "dark": Kind("dark readings", dark_input, added=True, unlit=True),
+    "lamp": Kind("light that the monitor does not correct", lamp_input, of_row=True),
+    "monitor": Kind("noise of the monitor", monitor_input, of_quotient=True, of_row=True),
+    "gain": Kind("ratio of the gains", gain_input, of_quotient=True),
+    declared.LINEARITY.name: Kind("linearity of the photodiode", declared_input(declared.LINEARITY), of_quotient=True),
+    declared.MONITOR_DRIFT.name: Kind("drift of the monitor", declared_input(declared.MONITOR_DRIFT), of_quotient=True),
+    declared.MONITOR_LINEARITY.name: Kind(
+        "linearity of the monitor", declared_input(declared.MONITOR_LINEARITY), of_quotient=True
+    ),
+    declared.CROSSTALK.name: Kind("cross-talk of other channels", declared_input(declared.CROSSTALK), added=True, unlit=True),
+    "signature": Kind("change of the instrument signature by the sample", signature_common, added=True),
+    "signature_reading": Kind("noise of the reading without a sample", signature_input, independent=True, added=True),
+    "etalon_reading": Kind("noise of the reading of the etalon", etalon_input, independent=True),
+    "calibration": Kind("factor of the photodiode by overlaps", calibration_input),
+    declared.FIELD_OF_VIEW.name: Kind("size of the field of view", declared_input(declared.FIELD_OF_VIEW)),
+    "field_noise": Kind("noise of the slopes in the correction of the field of view", independent=True, added=True),
+    "field_unresolved": Kind("field of view, not resolved by the directions", independent=True, added=True),
+    "second_order": Kind("angles, second order", of_angles=True),
+    "slope_unresolved": Kind("slope that the directions do not resolve", of_angles=True),
+    "pose": Kind("tilts, zeros and shifts of the rig and of mountings"),
+    "position": Kind("position of the axes after a move"),
+    "photodiode_angle": Kind("place of the photodiode on its arc"),
+    "certificate": Kind("certificate of the etalon", of_direction=True),
+    "standards": Kind("disagreement of the two standards", of_direction=True),
+    "open_beam": Kind("scale by the open beam", of_direction=True),
+    "slit_image": Kind("hole lit in part"),
+    declared.WAVELENGTH.name: Kind("wavelength", of_direction=True),
+    "bandwidth": Kind("bandwidth of the light", of_direction=True),
+    "band_shape": Kind("shape of the spectrum within the band", band_shape_input, of_direction=True),
+    declared.MONOCHROMATOR_STRAY.name: Kind("light of other wavelengths", of_direction=True),
+    "polarisation": Kind("polarisation of the light", of_direction=True),
 }
 """All components by name, but for the declared factors on the light of sample and etalon."""
 
@@ -109,7 +113,8 @@ def kinds() -> dict[str, Kind]:
     of_row = {each.name: each.shared_by is SharedBy.MOVE for each in declared.factors()}
     if same := of_row.keys() & KINDS.keys():
         raise ValueError(f"a declared factor has the name of a component: {', '.join(sorted(same))}")
-    return {**KINDS, **{name: Kind(of_row=each, of_direction=not each) for name, each in of_row.items()}}
+    texts = {each.name: each.text.partition(";")[0] for each in declared.factors()}
+    return {**KINDS, **{name: Kind(texts[name], of_row=each, of_direction=not each) for name, each in of_row.items()}}
 
 
 def input_of(component: str, number: int, rig: RigFile) -> InputQuantity:

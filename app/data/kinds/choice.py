@@ -13,7 +13,7 @@ from goniotwin.app.figures.curves import COVERAGE, WIDEST_GAP_DEG, Curve, curve_
 from goniotwin.app.figures.description import Figure, Panel
 from goniotwin.app.figures.scale import Scale, scale_of
 from goniotwin.app.formats.content import FILLED, UNTRUSTED, flagged
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Flags, Floats
 
 MOST_CURVES, MOST_MAPS = 7, 6
 NEAR_PLANE_DEG = 1.0
@@ -61,7 +61,12 @@ def at_sigma(dataset: Dataset, sigma_deg: float) -> Dataset:
 
 
 def in_plane(dataset: Dataset) -> Dataset:
-    """The values in the plane of incidence, or near it where none is in it."""
+    """The values in the plane of incidence, or near it where none is in it. Raises UserError where none is near."""
+    return dataset.where(is_in_plane(dataset))
+
+
+def is_in_plane(dataset: Dataset) -> Flags:
+    """Whether values (n,) are those `in_plane`. Raises UserError where none is near it."""
     around = around_deg(dataset)
     out = np.degrees(np.arcsin(np.minimum(np.abs(np.sin(np.radians(dataset.polar_deg)) * np.sin(np.radians(around))), 1.0)))
     in_it = out <= 1e-4
@@ -71,7 +76,7 @@ def in_plane(dataset: Dataset) -> Dataset:
         raise UserError(
             f"{dataset.name}: no trusted value is within {NEAR_PLANE_DEG:g} deg of the plane of incidence; draw the hemisphere"
         )
-    return dataset.where(in_it)
+    return np.asarray(in_it)
 
 
 def around_deg(dataset: Dataset) -> Floats:

@@ -8,9 +8,10 @@ import pytest
 from PySide6.QtCore import Qt
 from pytestqt.qtbot import QtBot
 
+from goniotwin.app.desktop.disc import LEAST_LEVEL
 from goniotwin.app.desktop.model.run_points import MapPoints, match
 from goniotwin.app.desktop.run.axes import ValueAxis
-from goniotwin.app.desktop.run.hemisphere import LEAST_LEVEL, HemisphereMap
+from goniotwin.app.desktop.run.hemisphere import HemisphereMap
 from goniotwin.app.desktop.run.live_plot import ScanPlot
 from goniotwin.app.desktop.theme import LIGHT
 from goniotwin.app.figures.hemisphere import LEVELS
