@@ -3,7 +3,7 @@
 `model` is the client of the station that has the rig, with the window's planner and its reader of the run's journal, without
 Qt. `presenter` receives its messages through one signal and shows them in the panels of `view`. `window` passes on what the
 operator does; files, the open question and the question at the end are objects of their own. Each screen has a folder (rig,
-bench, setup, run, campaigns, events, tolerances) and a line in `SCREENS` of the view.
+bench, setup, run, campaigns, results, events, tolerances) and a line in `SCREENS` of the view.
 """
 
 import contextlib

@@ -83,7 +83,7 @@ class ColourBar(QWidget):
 
 
 class DiscView(QWidget):
-    """A disc with its colour bar and its content as text; `mirrored`: the other half is the image of this one."""
+    """A disc with its colour bar and its content as text. A subclass sets the colours when it is made."""
 
     def __init__(self, colours: Colours, name: str) -> None:
         super().__init__()
@@ -132,7 +132,6 @@ class DiscView(QWidget):
         table[PLANNED] = [int(DISC.dim[k : k + 2], 16) for k in (1, 3, 5)] + [255]
         table[LEAST_LEVEL:] = np.insert(colour_table("values"), 3, 255, axis=1)
         self._image.setLookupTable(table)
-        self.set_colours(colours)
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Leave the room to the map where there is little; Qt calls it."""

@@ -11,7 +11,7 @@ from goniotwin.app.desktop.theme import Colours
 
 SHORT_MARK = 3
 """Signs of a mark that has room in a narrow window."""
-LOW_BUTTON, LOW_ICON = 26, 18
+LOW_BUTTON, LOW_ICON = 23, 18
 """Height in logical pixels of a button in a low window, with its share of the margins, and side of its icon."""
 
 

@@ -16,6 +16,7 @@ from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
 from goniotwin.app.desktop.events.panels import NoticeBar, OrdersPanel, QuestionBar
 from goniotwin.app.desktop.events.screen import EventsScreen
 from goniotwin.app.desktop.navigation import Navigation
+from goniotwin.app.desktop.results.screen import ResultsScreen
 from goniotwin.app.desktop.rig.screen import RigScreen
 from goniotwin.app.desktop.rig.strip import RigStrip
 from goniotwin.app.desktop.run.panel import RunPanel
@@ -35,6 +36,7 @@ SCREENS: tuple[type[Screen], ...] = (
     SetupScreen,
     RunScreen,
     CampaignsScreen,
+    ResultsScreen,
     EventsScreen,
     TolerancesScreen,
 )
@@ -77,9 +79,11 @@ class MainView(QWidget):
         self.schedule.plan_shown.connect(rig.set_plan)
         self.schedule.folder_shown.connect(rig.set_folder)
         self.schedule.folder_shown.connect(self.screen_of(TolerancesScreen).set_folder)
+        self.schedule.folder_shown.connect(self.screen_of(ResultsScreen).set_folder)
         self.schedule.set_folder(folder)
         self.screen_of(RunScreen).set_events(self.log.model)
         self.navigation.chosen.connect(self.show_screen)
+        self.screen_of(CampaignsScreen).results_wanted.connect(self._show_results)
         self.log.serious_changed.connect(self._mark_events)
         self.devices.shown.connect(self.strip.set_devices)
         self.devices.shown.connect(self._mark_rig)
@@ -113,6 +117,11 @@ class MainView(QWidget):
         self.navigation.load_icons()
         for each in self.screens:
             each.complete()
+
+    @Slot(object)
+    def _show_results(self, journal: Path) -> None:
+        self.show_screen(SCREENS.index(ResultsScreen))
+        self.screen_of(ResultsScreen).open_file(journal)
 
     @property
     def plot(self) -> "ScanPlot":

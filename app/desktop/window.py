@@ -43,7 +43,13 @@ CLICK_MS = 150
 WIDTH, HEIGHT = 1180, 760
 """Size of the first start in logical pixels, on a screen that has it."""
 DESKTOP = "goniotwin.app.desktop"
-LATER = (f"{DESKTOP}.presenter", f"{DESKTOP}.model.connection", f"{DESKTOP}.run.live_plot", "qtawesome")
+LATER = (
+    f"{DESKTOP}.presenter",
+    f"{DESKTOP}.model.connection",
+    f"{DESKTOP}.run.live_plot",
+    f"{DESKTOP}.results.panels",
+    "qtawesome",
+)
 """Modules that are imported after the window has been shown."""
 
 

@@ -44,6 +44,8 @@ class CampaignsScreen(Screen):
     refresh_wanted = Signal()
     resume_wanted = Signal(object)
     """The journal to resume."""
+    results_wanted = Signal(object)
+    """The journal to show on the screen Results."""
     folder_wanted = Signal()
     reported = Signal(str, bool)
     """A line for the status, and whether it is an error."""
@@ -77,12 +79,14 @@ class CampaignsScreen(Screen):
         self._errors = QLabel()
         self._errors.setWordWrap(True)
         self._errors.setAccessibleName("Files that cannot be read")
+        self.results_button = self._button("R&esults", "Show the results of the chosen campaign", self._show_results)
         self.resume_button = self._button("Resume &it", "Resume the chosen campaign", self._resume)
         self.export_button = self._button("E&xport…", "Export the chosen campaign to a file", self._export)
         self.report_button = self._button("Rep&ort…", "Write the report of the chosen campaign", self._report)
-        self.folder_button = self._button("Open the fol&der", "Open the folder of the campaigns", self.folder_wanted.emit)
+        self.folder_button = self._button("Fol&der", "Open the folder of the campaigns", self.folder_wanted.emit)
         self.refresh_button = self._button("List agai&n", "List the campaigns again", self.refresh_wanted.emit)
         self.buttons = (
+            self.results_button,
             self.resume_button,
             self.export_button,
             self.report_button,
@@ -103,7 +107,7 @@ class CampaignsScreen(Screen):
             layout.addWidget(part, 1 if part is self.table else 0)
         layout.addLayout(row)
         self.table.itemSelectionChanged.connect(self._show_chosen)
-        self.table.itemActivated.connect(self._activate)
+        self.table.itemActivated.connect(self._show_results)
         self.set_colours(colours)
         self._show_chosen()
 
@@ -173,7 +177,7 @@ class CampaignsScreen(Screen):
     @Slot()
     def _show_chosen(self) -> None:
         campaign = self.chosen
-        for button in (self.export_button, self.report_button):
+        for button in (self.results_button, self.export_button, self.report_button):
             button.setEnabled(campaign is not None and campaign.summary.rows > 0)
         resumable = campaign is not None and campaign.unfinished
         self.resume_button.setEnabled(resumable and not self._no_resume)
@@ -194,9 +198,9 @@ class CampaignsScreen(Screen):
             self.resume_wanted.emit(campaign.path)
 
     @Slot()
-    def _activate(self) -> None:
-        if self.resume_button.isEnabled():
-            self.resume_button.setFocus()
+    def _show_results(self) -> None:
+        if (campaign := self.chosen) is not None and campaign.summary.rows > 0:
+            self.results_wanted.emit(campaign.path)
 
     @Slot()
     def _export(self) -> None:

@@ -30,6 +30,14 @@ if TYPE_CHECKING:
     from goniotwin.app.desktop.model.readings import BenchReadings as BenchReadings
     from goniotwin.app.desktop.model.readings import current_text as current_text
     from goniotwin.app.desktop.model.readings import trend_text as trend_text
+    from goniotwin.app.desktop.model.results import Light as Light
+    from goniotwin.app.desktop.model.results import Opened as Opened
+    from goniotwin.app.desktop.model.results import ResultsFailed as ResultsFailed
+    from goniotwin.app.desktop.model.results import ResultsReader as ResultsReader
+    from goniotwin.app.desktop.model.results import Shown as Shown
+    from goniotwin.app.desktop.model.results import first_light as first_light
+    from goniotwin.app.desktop.model.results import nearest_light as nearest_light
+    from goniotwin.app.desktop.model.results import value_texts as value_texts
     from goniotwin.app.desktop.model.rig_facts import RigFacts as RigFacts
     from goniotwin.app.desktop.model.tolerances import Studies as Studies
     from goniotwin.app.desktop.model.tolerances import StudyFailed as StudyFailed

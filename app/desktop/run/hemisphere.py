@@ -34,6 +34,7 @@ class HemisphereMap(DiscView):
         self._plane: tuple[Series, ...] = ()
         self._ends, self._scaled = (0.0, 0.0), 0
         self._view.scene().sigMouseMoved.connect(self._follow_mouse)
+        self.set_colours(colours)
         self.clear()
 
     def clear(self, mark: str = "", *, mirrored: bool = False) -> None:

@@ -34,6 +34,7 @@ from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.running.events import SafetyOrder
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.data.opening import open_dataset
 from goniotwin.app.desktop import MainWindow, Theme, view
 from goniotwin.app.desktop.bench.screen import BenchScreen
 from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
@@ -44,7 +45,9 @@ from goniotwin.app.desktop.file_chooser import FileChooser
 from goniotwin.app.desktop.menu import about_text
 from goniotwin.app.desktop.model.axes import GREEK
 from goniotwin.app.desktop.model.campaigns import list_campaigns
+from goniotwin.app.desktop.model.results import Results
 from goniotwin.app.desktop.remembered import MOST_RECENT, Remembered
+from goniotwin.app.desktop.results.screen import ResultsScreen
 from goniotwin.app.desktop.rig.panels import DEVICES, contact_text
 from goniotwin.app.desktop.rig.strip import lamp_text
 from goniotwin.app.desktop.run.axes import PIXELS_OF_VALUE, ValueAxis
@@ -277,6 +280,10 @@ def test_every_control_is_on_the_screen(
     path = tmp_path / "panel-with-a-long-name-after-weathering-001.journal"
     run_without_wires(make_plan(read_schedule(write_schedule()), read_rig(RIG)), path)
     frame.view.screen_of(CampaignsScreen).show_campaigns(list_campaigns(tmp_path))
+    results, found = frame.view.screen_of(ResultsScreen), Results(open_dataset(path))
+    results._take(found.opened(0))
+    assert results.light is not None
+    results._take(found.show(0, results.light))
     tolerances = frame.view.screen_of(TolerancesScreen)
     tolerances.open_study(FOLDER / "table1.toml")
     tolerances._show_outcome(made_outcome())

@@ -1,0 +1,1 @@
+"""The results screen: the values of a campaign or of a file."""
