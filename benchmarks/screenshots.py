@@ -29,6 +29,7 @@ from goniotwin.app.desktop import MainWindow, Theme
 from goniotwin.app.desktop.bench.readings_view import NO_READING
 from goniotwin.app.desktop.bench.screen import BenchScreen
 from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
+from goniotwin.app.desktop.results.screen import ResultsScreen
 from goniotwin.app.desktop.rig.screen import RigScreen
 from goniotwin.app.desktop.run.screen import RunScreen
 from goniotwin.app.desktop.screen import Screen
@@ -110,6 +111,7 @@ class Pictures:
         self._wait(lambda: not window.presenter.busy and "Saved in" in view.saved)
         self._picture("done-run")
         self._of_planes()
+        self._with_results()
         self._with_many_campaigns()
         self._dialogs()
         self._without_rig()
@@ -219,6 +221,17 @@ class Pictures:
             self._picture(f"{scale}-run")
         run.scale.setCurrentText("log")
         run.plane.setValue(0)
+
+    def _with_results(self) -> None:
+        """The values of the run, with the cursor on the highest one."""
+        view = self.window.view
+        campaigns, results = view.screen_of(CampaignsScreen), view.screen_of(ResultsScreen)
+        self._show(CampaignsScreen)
+        self._wait(campaigns.results_button.isEnabled)
+        campaigns.results_button.click()
+        self._wait(lambda: results.shown is not None)
+        self._picture("done-results")
+        self._show(RunScreen)
 
     def _with_many_campaigns(self) -> None:
         """Campaigns in all states, with names that are too long."""

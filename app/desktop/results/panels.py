@@ -6,7 +6,7 @@ from PySide6.QtCore import QEvent, QObject, QPointF, Qt, Signal
 from PySide6.QtGui import QKeyEvent, QResizeEvent
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
-from goniotwin.app.desktop.disc import DiscView
+from goniotwin.app.desktop.disc import LOW, DiscView
 from goniotwin.app.desktop.figures import PanelItems
 from goniotwin.app.desktop.model.results import Shown
 from goniotwin.app.desktop.run.axes import AXIS_WIDTH, AngleAxis, ValueAxis
@@ -150,6 +150,7 @@ class ResultCut(QWidget):
             self._plot.setYRange(*panel.scale.transform(np.array(panel.y.limits)).tolist(), padding=0.0)
         key = [f"{SIGNS[kind]}\u00a0{meaning}" for kind, meaning in panel.key]
         self._note.setText("; ".join([shown.missing or panel.legend, *key]))
+        self._view.setToolTip(self.summary)
         self._view.setAccessibleDescription(self.summary)
         self._label()
 
@@ -176,8 +177,9 @@ class ResultCut(QWidget):
         self._label()
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """Shorten the label of the angles where there is little room; Qt calls it."""
+        """Leave the room to the plot where there is little; Qt calls it."""
         super().resizeEvent(event)
+        self._note.setVisible(self.height() >= LOW)
         self._label()
 
     def _label(self) -> None:

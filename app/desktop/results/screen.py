@@ -29,7 +29,7 @@ FIELDS = {
 """The fields of a light that can be chosen, with their names."""
 SYMBOLS = {"sigma_deg": "σ", "psi_deg": "ψ"}
 AT_CURSOR = ("Value at the cursor", "Direction at the cursor", "Largest components of the uncertainty")
-NARROW, LOW = 640, 260
+NARROW, LOW = 640, 300
 """Size of a room below which the choices have two lines and the map is omitted, and of a value only its first line is shown."""
 LEAST_PLOT = 130, 110
 
@@ -50,11 +50,11 @@ class ResultsScreen(Screen):
         self.shown: Shown | None = None
         self.index = 0
         self._reader: ResultsReader | None = None
-        self._map: ResultMap | None = None
-        self._cut: ResultCut | None = None
+        self.pictures: tuple[ResultMap, ResultCut] | None = None
+        """Of the first values on."""
         self._path: Path | None = None
         self._folder = Path.home()
-        self._is_error, self._low, self._about = False, False, ""
+        self._is_error, self._low, self._narrow, self._about = False, False, False, ""
         self.open_button = self._button("Open f&ile…", "Open a journal or a file of values", self._choose_file)
         self.again_button = self._button("Rea&d again", "Read the file again, as a campaign grows", self._again)
         self._mark = QLabel("SIMULATED")
@@ -101,22 +101,28 @@ class ResultsScreen(Screen):
         self.fit(QSize(NARROW, LOW))
 
     def complete(self) -> None:
-        """Make the pictures, and what opens files."""
+        """Make what opens files."""
+        self._reader = model.ResultsReader(self._answered.emit)
+        self.open_button.setEnabled(True)
+
+    def _make_pictures(self) -> "tuple[ResultMap, ResultCut]":
+        """Make the pictures of the first values."""
         # These load pyqtgraph, which the window's first picture does without.
         from goniotwin.app.desktop.results.panels import ResultCut, ResultMap
 
-        self._reader = model.ResultsReader(self._answered.emit)
-        self._map, self._cut = ResultMap(self._colours), ResultCut(self._colours)
-        for stretch, each in ((2, self._map), (3, self._cut)):
+        disc, cut = ResultMap(self._colours), ResultCut(self._colours)
+        for at, each in enumerate((disc, cut)):
             each.setMinimumSize(*LEAST_PLOT)
             self.plots.addWidget(each)
-            self.plots.setStretchFactor(self.plots.count() - 1, stretch)
-        for before, after in pairwise((self.choices["psi_deg"], self._map.keys.view, self._cut.keys.view)):
+            self.plots.setStretchFactor(at, 2 + at)
+        for before, after in pairwise((self.choices["psi_deg"], disc.keys.view, cut.keys.view)):
             self.setTabOrder(before, after)
-        self._map.keys.pressed.connect(lambda right, up: self._move(lambda shown: shown.towards(self.index, right, up)))
-        self._map.keys.clicked.connect(lambda x, y: self._move(lambda shown: shown.nearest(x, y)))
-        self._cut.keys.pressed.connect(lambda right, _up: self._move(lambda shown: shown.along_plane(self.index, right)))
-        self._cut.keys.clicked.connect(lambda x, _y: self._move(lambda shown: shown.in_plane_at(self.index, x)))
+        disc.keys.pressed.connect(lambda right, up: self._move(lambda shown: shown.towards(self.index, right, up)))
+        disc.keys.clicked.connect(lambda x, y: self._move(lambda shown: shown.nearest(x, y)))
+        cut.keys.pressed.connect(lambda right, _up: self._move(lambda shown: shown.along_plane(self.index, right)))
+        cut.keys.clicked.connect(lambda x, _y: self._move(lambda shown: shown.in_plane_at(self.index, x)))
+        disc.setHidden(self._narrow)
+        return disc, cut
 
     def set_folder(self, folder: Path) -> None:
         """Take the folder in which a file is looked for first."""
@@ -130,9 +136,8 @@ class ResultsScreen(Screen):
         )
         self.heading.setStyleSheet(f"color: {colours.bad}" if self._is_error else "")
         self.texts[0].setStyleSheet("font-weight: bold")
-        for part in (self._map, self._cut):
-            if part is not None:
-                part.set_colours(colours)
+        for part in self.pictures or ():
+            part.set_colours(colours)
 
     def fit(self, room: QSize) -> None:
         """Take less room for the choices, the map and the value where there is little."""
@@ -141,9 +146,9 @@ class ResultsScreen(Screen):
             for each in (self.choices[field], self.only[field]):
                 self._grid.addWidget(each, row, column)
         self._grid.setColumnStretch(len(FIELDS), 1)
-        self._low = room.height() < LOW
-        if self._map is not None:
-            self._map.setVisible(room.width() >= NARROW)
+        self._low, self._narrow = room.height() < LOW, room.width() < NARROW
+        if self.pictures is not None:
+            self.pictures[0].setHidden(self._narrow)
         self._show_texts()
 
     def shut_down(self) -> None:
@@ -175,6 +180,7 @@ class ResultsScreen(Screen):
         """Show a text in place of values; without `choices` these stay."""
         self.shown, self._is_error = None, error
         self.heading.setText(f"✗ {text}" if error else text)
+        self.heading.setToolTip("")
         if choices:
             self.lights = ()
             self._mark.hide()
@@ -236,15 +242,14 @@ class ResultsScreen(Screen):
     # The values.
 
     def _show_values(self, shown: "Shown") -> None:
-        assert self._map is not None
-        assert self._cut is not None
+        self.pictures = self.pictures or self._make_pictures()
         before, self.shown = self.shown, shown
         if self._is_error:
             self._is_error = False
             self.heading.setText(self._about)
             self.set_colours(self._colours)
-        self._map.show_values(shown)
-        self._cut.show_values(shown)
+        for each in self.pictures:
+            each.show_values(shown)
         self.plots.show()
         same = before is not None and before.light._replace(sample=shown.light.sample, colour=shown.light.colour) == shown.light
         self.index = shown.highest if before is None or not same else shown.nearest(*before.place(self.index))
@@ -252,9 +257,9 @@ class ResultsScreen(Screen):
 
     def _move(self, to: "Callable[[Shown], int]") -> None:
         """Move the cursor to another value."""
-        if self.shown is not None and self._map is not None and self._cut is not None:
+        if self.shown is not None:
             self.index = to(self.shown)
-            for each in (self._map, self._cut):
+            for each in self.pictures or ():
                 each.set_cursor(self.shown, self.index)
             self._show_texts()
 

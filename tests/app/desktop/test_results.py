@@ -158,10 +158,10 @@ def test_a_file_has_the_values_that_it_has_for_open(qtbot: QtBot, screen: Result
     agrees(screen, dataset.select(wavelength_nm=550.0, sigma_deg=45.0))
     screen.set_colours(DARK)
     screen.grab()
-    assert screen._map is not None
-    assert screen._cut is not None
-    assert "highest" in screen._map.summary
-    assert screen._cut.summary.startswith("bands: U (k = 2), median")
+    assert screen.pictures is not None
+    disc, cut = screen.pictures
+    assert "highest" in disc.summary
+    assert cut.summary.startswith("bands: U (k = 2), median")
 
 
 def test_a_damaged_file_has_one_line_and_the_next_one_is_opened(
