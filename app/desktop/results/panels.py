@@ -94,7 +94,7 @@ class ResultMap(DiscView):
         self._items.show(Panel(projection="disc", series=(*panel.series, PLANE), marks=(*panel.marks, *marks)))
         top = shown.highest
         text = f"{found.x.size} directions, highest {found.values[top]:.3g} at polar angle {data.column('polar_deg')[top]:.0f}°"
-        self._write("; ".join([text, *panel.title.split("\n")[1:]]))
+        self._write("; ".join([text, *panel.title.split("\n")[1:]]).replace(" %", "\u00a0%"))
 
     def set_cursor(self, shown: Shown, index: int) -> None:
         """Put the cursor on a value."""
@@ -149,7 +149,7 @@ class ResultCut(QWidget):
             self._axis.set_value_scale(panel.scale)
             self._plot.setYRange(*panel.scale.transform(np.array(panel.y.limits)).tolist(), padding=0.0)
         key = [f"{SIGNS[kind]}\u00a0{meaning}" for kind, meaning in panel.key]
-        self._note.setText("; ".join([shown.missing or panel.legend, *key]))
+        self._note.setText("; ".join([shown.missing or panel.legend, *key]).replace(" %", "\u00a0%"))
         self._view.setToolTip(self.summary)
         self._view.setAccessibleDescription(self.summary)
         self._label()
