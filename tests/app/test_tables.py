@@ -28,7 +28,7 @@ BAD_RIGS = [
     (("gear = 36.0", "gear = nan"), r"axes\.sigma\.gear: .*finite"),
     (("motor = 0", "motor = 3"), r"axes: gamma and shift are both motor 3"),
     (("upper_deg = 180.0", "upper_deg = -180.0"), r"axes\.sigma: lower_deg 0 is not below upper_deg -180"),
-    (("[simulated]\nseed = 1\n", ""), r"needs a \[simulated\] table"),
+    (("[simulated]\nseed = 1\n", ""), r"or add a \[simulated\] table"),
     (('kind = "tmcl"', 'kind = "tmlc"'), r"axes\.kind: .*'tmcl'"),
     (('"twin://virtual/adc-4"', '"twin://other/adc-4"'), r"several virtual rigs: other, virtual"),
     ((', "twin://virtual/adc-4"', ""), r"photodiodes: 36 photodiodes need 5 units of 8 channels, not 4"),
