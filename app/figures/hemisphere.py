@@ -27,7 +27,8 @@ MAPS: dict[ColourMap, tuple[str, float, float]] = {
     "deviations": ("colorbrewer:RdBu_r", 0.13, 0.87),
 }
 """Maps ordered by lightness, with the part whose contrast to the ground of the disc is at least 3 to 1."""
-LEVELS = 254
+LEVELS, PIXELS = 254, 400
+"""Colours of a map, and the side of its image in the window."""
 
 
 @cache

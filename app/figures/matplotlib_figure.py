@@ -20,12 +20,11 @@ from matplotlib.patheffects import withStroke
 from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import ScaledTranslation
-from matplotlib.tri import Triangulation
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.figures.curves import MOST_MARKED
 from goniotwin.app.figures.description import Bar, Colour, Figure, Map, Panel, Series
-from goniotwin.app.figures.hemisphere import EDGE_DEG, GAPS, HORIZON_DEG, RINGS_DEG, WIDEST_DEG, colour_table
+from goniotwin.app.figures.hemisphere import EDGE_DEG, HORIZON_DEG, RINGS_DEG, colour_table
 from goniotwin.app.figures.scale import Scale, tick_text
 from goniotwin.app.figures.style import (
     BAND_ALPHA,
@@ -42,8 +41,8 @@ from goniotwin.app.figures.style import (
     Palette,
     Symbol,
 )
+from goniotwin.app.figures.surface import coloured_places, surface
 from goniotwin.app.formats.file import check_writable, write_file
-from goniotwin.arrays import Flags, Floats
 
 SYMBOLS: dict[Symbol, str] = {
     "circle": "o",
@@ -479,11 +478,7 @@ def _draw_disc(axes: Axes, drawn: Map) -> None:
     if drawn.filled is not None:
         axes.plot(x[drawn.filled], y[drawn.filled], ".", ms=FILLED_SIZE, color=DISC.base, mew=0, zorder=3)
         shown = shown | drawn.filled
-    twice = 2 if drawn.mirrored else 1
-    image = np.concatenate([y, -y]) if drawn.mirrored else y
-    _draw_surface(
-        axes, np.tile(x, twice), image, drawn.bar.scale.placed(np.tile(drawn.values, twice)), np.tile(shown, twice), drawn.bar
-    )
+    _draw_surface(axes, drawn)
     if not shown.all():
         axes.plot(x[~shown], y[~shown], "x", ms=2.0, mew=0.5, color=DISC.blocked, zorder=3)
     for radius in RINGS_DEG:
@@ -495,31 +490,18 @@ def _draw_disc(axes: Axes, drawn: Map) -> None:
     axes.set_axis_off()
 
 
-def _draw_surface(axes: Axes, x: Floats, y: Floats, placed: Floats, trusted: Flags, bar: Bar) -> None:
+def _draw_surface(axes: Axes, drawn: Map) -> None:
     """Colours between directions that are near each other; where they span no area, a mark at each."""
-    found = None
+    bar, found = drawn.bar, surface(drawn)
     norm, colours = _norm(bar), _colour_map(bar)
-    _, first = np.unique(np.round(np.stack([x, y]), 4), axis=1, return_index=True)
-    order = first[np.argsort(~trusted[first], kind="stable")]
-    if order.size > 3 and min(np.ptp(x[order]), np.ptp(y[order])) > 1.0:
-        found = Triangulation(x[order], y[order])
-        corners = found.triangles
-        sides = [np.hypot(*(each[order][corners[:, k]] - each[order][corners[:, k - 1]] for each in (x, y))) for k in range(3)]
-        longest = np.max(sides, axis=0)
-        limit = max(WIDEST_DEG, GAPS * float(np.quantile(longest, 0.95)))
-        hidden = (longest > limit) | ~trusted[order][corners].all(axis=1)
-        if hidden.all():
-            found = None
-        else:
-            found.set_mask(hidden)
     if found is None:
+        x, y, values, shown = coloured_places(drawn)
         size, edge = (9.0, 0.0) if x.size > MOST_MARKED else (30.0, 0.5)
-        axes.scatter(
-            x[trusted], y[trusted], c=placed[trusted], s=size, norm=norm, cmap=colours, lw=edge, edgecolors="0.3", zorder=2
-        )
+        c = bar.scale.placed(values[shown])
+        axes.scatter(x[shown], y[shown], c=c, s=size, norm=norm, cmap=colours, lw=edge, edgecolors="0.3", zorder=2)
         return
-    at = np.where(trusted, placed, norm.vmin or 0.0)[order]
-    axes.tripcolor(found, at, shading="gouraud", norm=norm, cmap=colours, rasterized=True, zorder=2)
+    at = bar.scale.placed(found.values)
+    axes.tripcolor(found.mesh, at, shading="gouraud", norm=norm, cmap=colours, rasterized=True, zorder=2)
 
 
 # ---- polar diagrams ----

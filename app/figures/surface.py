@@ -1,0 +1,56 @@
+"""The surface of a map: triangles between its directions, for every back end; and as an image, and as a lobe in space."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.tri import LinearTriInterpolator, Triangulation
+
+from goniotwin.app.figures.description import Map
+from goniotwin.app.figures.hemisphere import EDGE_DEG, GAPS, WIDEST_DEG
+from goniotwin.arrays import Flags, Floats, Ints
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Triangles between places (n,), their corners (m, 3) counted in these; `values` (n,) are finite at each corner."""
+
+    x: Floats
+    y: Floats
+    values: Floats
+    triangles: Ints
+
+    @property
+    def mesh(self) -> Triangulation:
+        """The triangles as matplotlib takes them."""
+        return Triangulation(self.x, self.y, self.triangles)
+
+
+def coloured_places(drawn: Map) -> tuple[Floats, Floats, Floats, Flags]:
+    """Places, values and whether they have a colour (n,), with their images on the other half where the map has these."""
+    shown = drawn.trusted if drawn.filled is None else drawn.trusted | drawn.filled
+    if not drawn.mirrored:
+        return drawn.x, drawn.y, drawn.values, shown
+    return np.tile(drawn.x, 2), np.concatenate([drawn.y, -drawn.y]), np.tile(drawn.values, 2), np.tile(shown, 2)
+
+
+def surface(drawn: Map) -> Surface | None:
+    """The surface between directions that are near each other; None where they span no area."""
+    x, y, values, shown = coloured_places(drawn)
+    _, first = np.unique(np.round(np.stack([x, y]), 4), axis=1, return_index=True)
+    order = first[np.argsort(~shown[first], kind="stable")]
+    x, y, values, shown = (each[order] for each in (x, y, values, shown))
+    if order.size <= 3 or min(np.ptp(x), np.ptp(y)) <= 1.0:
+        return None
+    corners = Triangulation(x, y).triangles
+    sides = [np.hypot(*(each[corners[:, k]] - each[corners[:, k - 1]] for each in (x, y))) for k in range(3)]
+    longest = np.max(sides, axis=0)
+    limit = max(WIDEST_DEG, GAPS * float(np.quantile(longest, 0.95)))
+    kept = (longest <= limit) & shown[corners].all(axis=1)
+    return Surface(x, y, np.where(shown, values, 0.0), corners[kept]) if kept.any() else None
+
+
+def image_of(found: Surface, shares: Floats, pixels: int) -> Floats:
+    """Shares (n,) of the bar over the surface, (pixels, pixels) from below to above; NaN where there is none."""
+    middle = EDGE_DEG * ((np.arange(pixels) + 0.5) * 2.0 / pixels - 1.0)
+    return np.ma.filled(LinearTriInterpolator(found.mesh, shares)(*np.meshgrid(middle, middle)), math.nan)
