@@ -6,6 +6,7 @@ it as evidence: what it determines, and whether that contradicts what is stated.
 """
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -42,6 +43,21 @@ MOST_U = 2.0
 """A reflectance above 1 by so many standard uncertainties is not possible."""
 MOST_NOT_MEASURED = 0.1
 """Share of the energy in directions without a trusted value, and beyond the last ones, above which a verdict warns."""
+REMEDIES = {
+    "reciprocity": "Check the alignment of the rig (goniotwin align), then repeat the reference standard's measurement.",
+    "energy": "Check the certificate and the surface of the reference standard, and whether its readings are saturated.",
+    "symmetry": 'Measure all half planes: symmetry = "anisotropic" in the schedule.',
+    "overlaps": "Clean the photodiodes, or write calibrate = true in [overlap].",
+    "instrument signature": "Screen stray light at the sample unit.",
+    "missing directions": "Saturated directions need a lower gain; the others need more shifts or beta angles.",
+    "gain linkage": "Have the converter's gains calibrated; until then read at the certified gain alone.",
+    "pose by the open beam": "Align the rig, or state larger angles in [uncertainty] of the rig file.",
+    "alignment": "Align the rig, or state larger angles in [uncertainty] of the rig file.",
+    "closure": "Check the reference standard and its certificate, then repeat the scan of the open beam.",
+    "standards": "Clean both standards and compare them again; if they still differ, have them calibrated.",
+    "drift": "Let the lamp warm up for longer ([warm_up]), then repeat the flagged rows.",
+}
+"""By check, what a person does where it warns or fails."""
 MOST_TOGETHER = 500
 """Pairs whose full covariance is used; of more, so many are taken evenly."""
 MOST_PAIRS_AT_ONCE = 5_000
@@ -77,10 +93,15 @@ class Verdict:
     figures: dict[str, Any] = field(default_factory=dict)
     evidence: Evidence | None = None
 
+    @property
+    def remedy(self) -> str:
+        """What a person does about it; empty where it holds, and where there is nothing to judge."""
+        return REMEDIES[re.split(" of | at ", self.name)[0]] if self.verdict in ("warns", "fails") else ""
+
     def as_dict(self) -> dict[str, Any]:
         """The verdict for JSON."""
         own = {} if self.evidence is None else {"evidence": vars(self.evidence)}
-        return {"name": self.name, "verdict": self.verdict, "text": self.text, **self.figures, **own}
+        return {"name": self.name, "verdict": self.verdict, "text": self.text, "remedy": self.remedy, **self.figures, **own}
 
 
 def verify_journal(evaluation: Evaluation) -> list[Verdict]:

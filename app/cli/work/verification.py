@@ -35,5 +35,7 @@ def _print_verdicts(verdicts: list[Verdict], evidence: str, simulated: bool) -> 
     for each in verdicts:
         line = Text(f"{each.name}: ").append(each.verdict, style=FAILS_STYLE[each.verdict]).append(f": {each.text}")
         console.print(line, soft_wrap=True)
+        if each.remedy:
+            console.print(f"  {each.remedy}", soft_wrap=True)
     if evidence:
         console.print(evidence, soft_wrap=True)
