@@ -1,6 +1,7 @@
 """Opening of data: a journal is reduced, a file is read by the registry, and each becomes a dataset in memory."""
 
 import os
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import numpy as np
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.readings import order_by_setting
 from goniotwin.app.campaign.studies.evaluation import Evaluation, evaluate_journal
 from goniotwin.app.campaign.studies.reduced_journal import reduce_to_memory
 from goniotwin.app.data.dataset import Dataset
@@ -24,6 +26,9 @@ from goniotwin.app.formats.content import (
 )
 from goniotwin.app.formats.file import SQLITE, StrPath, read_head
 from goniotwin.twin.optics.geometry.coordinates import round_deg
+
+LONG_ROWS = 3_000
+"""Rows of samples from which on a journal is long: it takes a second or more to reduce."""
 
 
 @with_names
@@ -57,6 +62,43 @@ def open_journal(path: Path, *, without_damaged: bool = False) -> Dataset:
     """The dataset of a journal, as far as it goes. Raises UserError."""
     with Journal.open(path) as journal:
         return dataset_of_evaluation(evaluate_journal(journal, without_damaged=without_damaged))
+
+
+def open_in_parts(path: Path) -> Iterator[Dataset]:
+    """The dataset of a journal or a file; of a long journal first that of one setting, which takes less time.
+
+    That has the first sample, sigma and gamma, at the middle wavelength, and its u has no share of the other wavelengths.
+    Raises as `open_dataset` does.
+    """
+    if _is_folder(path) or read_head(path, len(SQLITE)) != SQLITE:
+        yield open_dataset(path)
+        return
+    with Journal.open(path) as journal:
+        evaluation = evaluate_journal(journal)
+        if (first := _first_setting(evaluation)) is not None:
+            yield first
+        yield dataset_of_evaluation(evaluation)
+
+
+def _first_setting(evaluation: Evaluation) -> Dataset | None:
+    """The dataset of the setting that `open_in_parts` gives first; None of a journal that is not long."""
+    reduction = evaluation.reduction
+    tables = {name: reduction.measurements.row_table(name) for name in reduction.schedule.samples}
+    if sum(map(len, tables.values())) < LONG_ROWS or reduction.settings.calibrates:
+        return None
+    name, table = next((name, table) for name, table in tables.items() if len(table))
+    order, edges, lights = order_by_setting(table)
+    of_light = edges[edges < lights[1]]
+    k = int(np.searchsorted(edges, of_light[of_light.size // 2]))
+    points = reduction.points_of_rows(name, order[edges[k] : edges[k + 1]])
+    if points is None:
+        return None
+    points, simulated = reduction.finish(name, points, None), reduction.journal.simulated
+    isotropic = reduction.schedule.symmetry == "isotropic"
+    data = sample_of_points(points, name, isotropic=isotropic, generated=simulated)
+    data = replace(data, measured=Measured(points, replace(reduction.settings, sample=name)))
+    notes = ("one setting; the others are being read, and its u has no share of theirs",)
+    return Dataset(reduction.journal.value("name"), "journal", {name: data}, notes)
 
 
 def dataset_of_evaluation(evaluation: Evaluation) -> Dataset:

@@ -11,9 +11,10 @@ from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.errors import UserError
 from goniotwin.app.figures.curves import COVERAGE, WIDEST_GAP_DEG, Curve, curve_of, plane_angle, quantity
 from goniotwin.app.figures.description import Figure, Panel
+from goniotwin.app.figures.hemisphere import is_half
 from goniotwin.app.figures.scale import Scale, scale_of
 from goniotwin.app.formats.content import FILLED, UNTRUSTED, flagged
-from goniotwin.arrays import Flags, Floats
+from goniotwin.arrays import Flags, Floats, Ints
 
 MOST_CURVES, MOST_MAPS = 7, 6
 NEAR_PLANE_DEG = 1.0
@@ -67,14 +68,35 @@ def in_plane(dataset: Dataset) -> Dataset:
 
 def is_in_plane(dataset: Dataset) -> Flags:
     """Whether values (n,) are those `in_plane`. Raises UserError where none is near it."""
+    return _near_plane(dataset, around_deg(dataset), "plane of incidence")
+
+
+def cut_of_plane(dataset: Dataset, plane_deg: float) -> tuple[Ints, Floats]:
+    """The values in a plane through the normal, and their abscissae (m,), which grow.
+
+    `plane_deg` is its azimuth from the light's. Of an isotropic sample that was measured on one side of the plane of incidence
+    the images are in it too. Raises UserError where no value is near it.
+    """
     around = around_deg(dataset)
+    twice = 2 if plane_deg and dataset.only.values.isotropic and is_half(around) else 1
+    around = np.concatenate([around, -around])[: twice * around.size]
+    index = np.tile(np.arange(dataset.size), twice)
+    plane = f"plane at {plane_deg:g} deg" if plane_deg else "plane of incidence"
+    here = np.flatnonzero(_near_plane(dataset.where(index), around - plane_deg, plane))
+    x = plane_angle(dataset.polar_deg[index[here]], around[here], plane_deg)
+    order = np.argsort(x, kind="stable")
+    return index[here][order], x[order]
+
+
+def _near_plane(dataset: Dataset, around: Floats, plane: str) -> Flags:
+    """Whether values (n,) are in the plane at azimuth 0 of `around`; where no trusted one is, whether they are near it."""
     out = np.degrees(np.arcsin(np.minimum(np.abs(np.sin(np.radians(dataset.polar_deg)) * np.sin(np.radians(around))), 1.0)))
     in_it = out <= 1e-4
     if not (in_it & dataset.good).any():
         in_it = out <= NEAR_PLANE_DEG
     if not (in_it & dataset.good).any():
         raise UserError(
-            f"{dataset.name}: no trusted value is within {NEAR_PLANE_DEG:g} deg of the plane of incidence; draw the hemisphere"
+            f"{dataset.name}: no trusted value is within {NEAR_PLANE_DEG:g} deg of the {plane}; draw the hemisphere"
         )
     return np.asarray(in_it)
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from goniotwin.app.data.comparison import DatasetComparison, LightComparison
+from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.figures.curves import (
     COVERAGE,
     PLANE_AXIS,
@@ -24,7 +25,7 @@ from goniotwin.app.figures.description import Axis, Bar, Figure, Guide, Panel, S
 from goniotwin.app.figures.hemisphere import disc_panel
 from goniotwin.app.figures.scale import Scale, linear_ticks, scale_of
 from goniotwin.app.figures.style import CURVE_COLOURS, CURVE_SYMBOLS
-from goniotwin.arrays import Flags, Floats
+from goniotwin.arrays import Flags, Floats, Ints
 
 MOST_COMPARED = 4
 LEAST_WIDTH_DEG = 10.0
@@ -64,6 +65,18 @@ def describe(found: DatasetComparison, log: bool | None) -> Figure:
         heights=None if beside else (1.0, 0.6 if flat else 1.1),
         widths=(1.25, 1.0) if beside else None,
     )
+
+
+def describe_light(found: LightComparison, like: Dataset, cut: Ints, x: Floats) -> tuple[Panel, Panel]:
+    """Map and cut of the deviations of one light, at the values (n,) of `like`; the cut has those by `cut` over `x` (m,)."""
+    known = bool(np.isfinite(found.z).any())
+    bar = _deviation_bar([found], known)
+    deviation = np.full(like.size, math.nan)
+    deviation[found.index] = found.z if known else _relative_deviation(found)
+    around, isotropic = like.azimuth_deg - found.light.psi_deg, like.only.values.isotropic
+    sigma, there = found.light.sigma_deg, np.isfinite(deviation)
+    drawn = disc_panel(sigma, like.polar_deg, around, deviation, there, bar, isotropic, "")
+    return drawn, _cut_of_deviations(x, deviation[cut], np.ones(x.size, dtype=bool), bar.label, known)
 
 
 def _pictured(lights: Sequence[LightComparison]) -> list[LightComparison]:
@@ -141,10 +154,13 @@ def _theta_axis(x: Floats) -> Axis:
 
 def _deviations(light: LightComparison, deviation: Floats, label: str, known: bool) -> Panel:
     """Deviations over the signed polar angle; those outside the range of formula 5 are paler."""
-    x = _signed(light)
+    return _cut_of_deviations(_signed(light), deviation, light.in_range, label, known)
+
+
+def _cut_of_deviations(x: Floats, deviation: Floats, chosen: Flags, label: str, known: bool) -> Panel:
     series = tuple(
-        Series(x[chosen], deviation[chosen], colour, line="none", symbol="dot")
-        for chosen, colour in ((~light.in_range, "blocked"), (light.in_range, CURVE_COLOURS[0]))
+        Series(x[here], deviation[here], colour, line="none", symbol="dot")
+        for here, colour in ((~chosen, "blocked"), (chosen, CURVE_COLOURS[0]))
     )
     spans = (Span(-COVERAGE, COVERAGE, upright=False),) if known else ()
     return Panel(PLANE_AXIS, title=label, series=series, guides=(Guide(0.0, "dim", False, "solid"),), spans=spans)

@@ -1,4 +1,7 @@
-"""Cuts: the plane of incidence over the signed polar angle, a curve for each sigma."""
+"""Cuts: the plane of incidence over the signed polar angle, a curve for each sigma; and another plane, of one light."""
+
+from collections.abc import Sequence
+from dataclasses import replace
 
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.kinds.choice import (
@@ -17,13 +20,16 @@ from goniotwin.app.data.kinds.choice import (
 )
 from goniotwin.app.figures.curves import (
     PLANE_AXIS,
+    POSITIVE,
+    Curve,
     curve_panel,
     curve_parts,
     distinct,
     quantity,
 )
-from goniotwin.app.figures.description import Figure, Guide
+from goniotwin.app.figures.description import Figure, Guide, Panel
 from goniotwin.app.figures.style import CURVE_COLOURS, CURVE_SYMBOLS
+from goniotwin.arrays import Floats, Ints
 
 
 def describe(dataset: Dataset, log: bool | None) -> Figure:
@@ -52,3 +58,22 @@ def describe(dataset: Dataset, log: bool | None) -> Figure:
             )
         )
     return figure_of(dataset, panels, (8.0, 1.0 + 3.8 * len(panels)))
+
+
+def describe_plane(
+    dataset: Dataset, index: Ints, x: Floats, plane_deg: float, others: Sequence[tuple[str, Curve]] = ()
+) -> Panel:
+    """The panel of one light in a plane: its values by `index` over `x` (m,), as `cut_of_plane` has them.
+
+    `others` are curves with their names, beside it.
+    """
+    here = dataset.where(index)
+    scale, axis = scale_for(here, None), PLANE_AXIS
+    if plane_deg:
+        axis = replace(axis, label=f"polar angle in the plane at {plane_deg:.4g} deg from the light, deg; {POSITIVE}")
+    parts = [curve_parts(curve(here, x), scale, "points", "measured" if others else "", "circle")]
+    parts += [curve_parts(each, scale, "predicted", name, line="dashed") for name, each in others]
+    light = here.only.lights[0]
+    guides = () if plane_deg else (Guide(light.sigma_deg, "points"),)
+    of, about = quantity(light.transmitted, light.back), about_curves([here], scale)
+    return curve_panel(parts, scale, axis, of, legend=about, reasons=reasons_of([here]), guides=guides)
