@@ -283,8 +283,8 @@ class Pictures:
         """The windows beside the main one."""
         from goniotwin.app.campaign.running.question import EFFECTS, Answer
         from goniotwin.app.desktop.bench.position_entry import NO_ANGLE, PositionEntry
+        from goniotwin.app.desktop.dialogs import TextBox
         from goniotwin.app.desktop.events.question import Choice, QuestionBox
-        from goniotwin.app.desktop.menu import TextBox
 
         window = self.window
         answers = (Answer.RETRY, Answer.SKIP, Answer.PAUSE, Answer.STOP)

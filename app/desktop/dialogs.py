@@ -4,7 +4,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QApplication, QDialog, QFileDialog, QWidget
+from PySide6.QtWidgets import QApplication, QDialog, QDialogButtonBox, QFileDialog, QTextBrowser, QVBoxLayout, QWidget
+
+TEXT_WIDTH = 520
 
 
 def close_dialog() -> None:
@@ -45,3 +47,28 @@ class FileDialog(QFileDialog):
             self.setOption(QFileDialog.Option.ShowDirsOnly)
         self.fileSelected.connect(lambda name: chosen(Path(name)))
         self.show()
+
+
+class TextBox(QDialog):
+    """A text in a window of its own, which blocks nothing."""
+
+    def __init__(self, parent: QWidget, title: str, text: str) -> None:
+        super().__init__(parent)
+        self.setWindowTitle(title)
+        self.setAccessibleName(title)
+        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        shown = QTextBrowser()
+        shown.setHtml(text)
+        shown.setAccessibleName(title)
+        shown.setTabChangesFocus(True)
+        shown.document().setDocumentMargin(10)
+        buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
+        buttons.rejected.connect(self.close)
+        for button in buttons.buttons():
+            button.setAccessibleName(f"Close {title}")
+        layout = QVBoxLayout(self)
+        layout.addWidget(shown)
+        layout.addWidget(buttons)
+        document = shown.document()
+        document.setTextWidth(TEXT_WIDTH)
+        self.resize(TEXT_WIDTH + 50, min(round(document.size().height()) + 80, parent.height() - 20))

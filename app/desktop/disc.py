@@ -13,13 +13,11 @@ from PySide6.QtWidgets import QGraphicsEllipseItem, QLabel, QVBoxLayout, QWidget
 
 from goniotwin.app.desktop.figures import PanelItems
 from goniotwin.app.desktop.theme import Colours
-from goniotwin.app.figures.description import Bar
-from goniotwin.app.figures.hemisphere import EDGE_DEG, HORIZON_DEG, LEVELS, RINGS_DEG, colour_table
+from goniotwin.app.figures.description import Bar, ColourMap
+from goniotwin.app.figures.hemisphere import EDGE_DEG, HORIZON_DEG, LEVELS, PIXELS, RINGS_DEG, colour_table
 from goniotwin.app.figures.style import DISC
 from goniotwin.arrays import Floats, Ints
 
-PIXELS = 400
-"""Side of the image."""
 EMPTY, PLANNED, LEAST_LEVEL = 0, 1, 2
 """Levels of a pixel: nothing, a planned direction, and the first of LEVELS for values."""
 FILL = 0.5
@@ -128,10 +126,7 @@ class DiscView(QWidget):
         layout.addWidget(self._view, 1)
         layout.addWidget(self.colour_bar)
         layout.addWidget(self._text)
-        table = np.zeros((LEAST_LEVEL + LEVELS, 4), dtype=np.uint8)
-        table[PLANNED] = [int(DISC.dim[k : k + 2], 16) for k in (1, 3, 5)] + [255]
-        table[LEAST_LEVEL:] = np.insert(colour_table("values"), 3, 255, axis=1)
-        self._image.setLookupTable(table)
+        self._set_table("values")
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Leave the room to the map where there is little; Qt calls it."""
@@ -178,10 +173,23 @@ class DiscView(QWidget):
                         at = np.clip(rows + down, 0, PIXELS - 1), np.clip(columns + right, 0, PIXELS - 1)
                         self._values[at], self._levels[at] = values, levels
 
+    def _fill(self, shares: Floats) -> None:
+        """Put an image of shares of the bar (PIXELS, PIXELS) in place of stamped values; NaN has no colour."""
+        there = np.isfinite(shares)
+        self._values[there] = shares[there]
+        self._levels[there] = (LEAST_LEVEL + (LEVELS - 1) * shares[there]).astype(np.uint8)
+
+    def _set_table(self, colours: ColourMap) -> None:
+        table = np.zeros((LEAST_LEVEL + LEVELS, 4), dtype=np.uint8)
+        table[PLANNED] = [int(DISC.dim[k : k + 2], 16) for k in (1, 3, 5)] + [255]
+        table[LEAST_LEVEL:] = np.insert(colour_table(colours), 3, 255, axis=1)
+        self._image.setLookupTable(table)
+
     def _set_bar(self, bar: Bar) -> None:
         """Show a bar, and the values that are stamped in its colours."""
         if bar != self.colour_bar.bar:
             self.colour_bar.set_bar(bar)
+            self._set_table(bar.colours)
             stamped = np.isfinite(self._values)
             self._levels[stamped] = self._levels_of(self._values[stamped])
 

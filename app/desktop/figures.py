@@ -1,5 +1,6 @@
 """The back end for the window: a panel drawn by pyqtgraph. Its items are made once; a live update gives them new data only."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor
 
 from goniotwin.app.figures.description import Colour, Guide, Line, Marks, Panel, Series, Span
-from goniotwin.app.figures.scale import Scale
+from goniotwin.app.figures.scale import Scale, tick_text, ticks
 from goniotwin.app.figures.style import (
     BAND_ALPHA,
     BAR_WIDTH,
@@ -44,6 +45,8 @@ LINES = {
 }
 PIXELS_A_POINT = 4.0 / 3.0
 LINEAR = Scale("linear", 0.0, 1.0)
+SPOKES_DEG, PIXELS_OF_RING = range(-90, 91, 30), 40.0
+"""Spokes of a polar panel on the side of the light, and the least distance of two of its circles."""
 ORDER: tuple[MarkKind, ...] = tuple(MARKS)
 """The later ones are above."""
 
@@ -107,6 +110,7 @@ class PanelItems:
         self._halos: dict[MarkKind, pg.ScatterPlotItem] = {}
         self._spans: list[pg.LinearRegionItem] = []
         self._guides: list[pg.InfiniteLine] = []
+        self._texts: list[pg.TextItem] = []
 
     @property
     def lines(self) -> list[pg.PlotCurveItem]:
@@ -120,6 +124,12 @@ class PanelItems:
 
     def show(self, panel: Panel) -> None:
         """Show a panel in the place of the last one."""
+        self._show_texts(panel)
+        if panel.projection == "polar":
+            panel = flat_panel(panel)
+        dots = [(each, np.isfinite(each.y)) for each in panel.series if each.symbol is not None]
+        few = tuple(Marks("measured", each.x[there], each.y[there], each.colour) for each, there in dots)
+        panel = replace(panel, marks=(*panel.marks, *few)) if few else panel
         last, self._panel = self._panel, panel
         scale = panel.scale or LINEAR
         while len(self._series) < len(panel.series):
@@ -169,6 +179,17 @@ class PanelItems:
                 self._plot.addItem(halo)
             self._halos[kind].setData(x, y)
 
+    def _show_texts(self, panel: Panel) -> None:
+        """Show the values of the circles of a polar panel."""
+        for each in self._texts:
+            self._plot.removeItem(each)
+        self._texts = []
+        for radius, text in rings(panel) if panel.projection == "polar" else ():
+            item = pg.TextItem(text, color=self._palette.dim, anchor=(0.0, 0.5))
+            item.setPos(0.0, radius)
+            self._texts.append(item)
+            self._plot.addItem(item, ignoreBounds=True)
+
     def _show_spans(self, spans: tuple[Span, ...]) -> None:
         for each in self._spans:
             self._plot.removeItem(each)
@@ -193,6 +214,41 @@ class PanelItems:
             )
             self._guides.append(pg.InfiniteLine(guide.at, angle=90 if guide.upright else 0, pen=pen))
             self._plot.addItem(self._guides[-1], ignoreBounds=True)
+
+
+def rings(panel: Panel) -> list[tuple[float, str]]:
+    """The circles of a polar panel: their radii, and the values there."""
+    scale, limits = panel.scale or LINEAR, panel.y.limits or (0.0, 1.0)
+    low = float(np.log10(scale.floor)) if scale.log else 0.0
+    at = ticks(scale, low, low + limits[1], 4.0 * PIXELS_OF_RING, PIXELS_OF_RING)
+    return [(each - low, tick_text(scale, each)) for each in at if each > low]
+
+
+def flat_panel(panel: Panel) -> Panel:
+    """A polar panel as lines in a plane: the light comes from above, positive angles are on the right."""
+
+    def flat(each: Any, radius: Floats) -> tuple[Floats, Floats]:
+        return radius * np.sin(each.x), radius * np.cos(each.x)
+
+    outer = (panel.y.limits or (0.0, 1.0))[1]
+    around = np.linspace(-np.pi, np.pi, 181) if panel.angles else np.linspace(-np.pi / 2.0, np.pi / 2.0, 91)
+    grid = [Series(radius * np.sin(around), radius * np.cos(around), "line") for radius, _ in (*rings(panel), (outer, ""))]
+    spoke = np.array([-outer if panel.angles else 0.0, outer])
+    grid += [Series(spoke * np.sin(each), spoke * np.cos(each), "line") for each in np.radians(SPOKES_DEG).tolist()]
+    for arrow in panel.arrows:
+        at = np.radians(arrow.angle_deg)
+        ends = np.array([0.82, 1.0]) * outer
+        grid.append(Series(ends * np.sin(at), ends * np.cos(at), arrow.colour))
+    drawn = []
+    for each in panel.series:
+        x, y = flat(each, each.y)
+        drawn.append(replace(each, x=x, y=y, lower=None, upper=None, symbol=None))
+        for edge in (each.lower, each.upper):
+            if edge is not None:
+                x, y = flat(each, edge)
+                drawn.append(replace(each, x=x, y=y, lower=None, upper=None, symbol=None, line="dashed", name=""))
+    marks = tuple(replace(each, x=flat(each, each.y)[0], y=flat(each, each.y)[1]) for each in panel.marks)
+    return replace(panel, projection="rectangular", scale=None, series=(*grid, *drawn), marks=marks, arrows=(), angles=())
 
 
 def _colour(colour: Colour, palette: Palette) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from PySide6.QtCore import QObject, Qt, Signal, qVersion
 from PySide6.QtGui import QAction, QActionGroup, QKeySequence
-from PySide6.QtWidgets import QDialog, QDialogButtonBox, QMainWindow, QMenu, QTextBrowser, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QMainWindow, QMenu
 
 import goniotwin
 from goniotwin.app.desktop.remembered import Kind, Remembered
@@ -15,7 +15,6 @@ from goniotwin.app.desktop.theme import Scheme
 from goniotwin.app.desktop.view import MainView
 
 OPEN_SCHEDULE_KEY, OPEN_RIG_KEY, QUIT_KEY, HELP_KEY, FULL_SCREEN_KEY = "Ctrl+O", "Ctrl+Shift+O", "Ctrl+Q", "F1", "F11"
-TEXT_WIDTH = 520
 SILENT = "off"
 SCHEMES: tuple[tuple[str, Scheme | None], ...] = (("&Follow the system", None), ("&Light", "light"), ("&Dark", "dark"))
 
@@ -170,31 +169,6 @@ class Menus(QObject):
             self._window.showNormal()
         else:
             self._window.showFullScreen()
-
-
-class TextBox(QDialog):
-    """A text in a window of its own, which blocks nothing."""
-
-    def __init__(self, parent: QWidget, title: str, text: str) -> None:
-        super().__init__(parent)
-        self.setWindowTitle(title)
-        self.setAccessibleName(title)
-        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        shown = QTextBrowser()
-        shown.setHtml(text)
-        shown.setAccessibleName(title)
-        shown.setTabChangesFocus(True)
-        shown.document().setDocumentMargin(10)
-        buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
-        buttons.rejected.connect(self.close)
-        for button in buttons.buttons():
-            button.setAccessibleName(f"Close {title}")
-        layout = QVBoxLayout(self)
-        layout.addWidget(shown)
-        layout.addWidget(buttons)
-        document = shown.document()
-        document.setTextWidth(TEXT_WIDTH)
-        self.resize(TEXT_WIDTH + 50, min(round(document.size().height()) + 80, parent.height() - 20))
 
 
 def keys_text(view: MainView) -> str:

@@ -19,10 +19,10 @@ from PySide6.QtWidgets import QApplication, QMainWindow, QPushButton
 from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
 from goniotwin.app.desktop.close_question import CloseQuestion
-from goniotwin.app.desktop.dialogs import close_dialog
+from goniotwin.app.desktop.dialogs import TextBox, close_dialog
 from goniotwin.app.desktop.event_loop import GarbageCollector
 from goniotwin.app.desktop.file_chooser import FileChooser
-from goniotwin.app.desktop.menu import Menus, TextBox, about_text, keys_text
+from goniotwin.app.desktop.menu import Menus, about_text, keys_text
 from goniotwin.app.desktop.operator_question import OperatorQuestion
 from goniotwin.app.desktop.remembered import Remembered
 from goniotwin.app.desktop.run.screen import RunScreen

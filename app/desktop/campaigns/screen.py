@@ -205,14 +205,22 @@ class CampaignsScreen(Screen):
     @Slot()
     def _export(self) -> None:
         if (campaign := self.chosen) is not None:
-            first = campaign.path.with_suffix(".csv")
-            self._ask_out("Export the campaign", first, EXPORTS, "export", campaign.path)
+            self.export(campaign.path)
 
     @Slot()
     def _report(self) -> None:
         if (campaign := self.chosen) is not None:
-            first = campaign.path.with_suffix(".html")
-            self._ask_out("Report of the campaign", first, "Report (*.html)", "report", campaign.path)
+            self.report(campaign.path)
+
+    @Slot(object)
+    def export(self, journal: Path) -> None:
+        """Ask for a file, and export a campaign to it."""
+        self._ask_out("Export the campaign", journal.with_suffix(".csv"), EXPORTS, "export", journal)
+
+    @Slot(object)
+    def report(self, journal: Path) -> None:
+        """Ask for a file, and write the report of a campaign."""
+        self._ask_out("Report of the campaign", journal.with_suffix(".html"), "Report (*.html)", "report", journal)
 
     def _ask_out(self, title: str, first: Path, kinds: str, command: str, journal: Path) -> None:
         """Ask for the file of a command, and before one is replaced."""
@@ -225,7 +233,7 @@ class CampaignsScreen(Screen):
                 Choice(REPLACE, "Its content is lost"),
                 Choice(CANCEL, "Nothing is written", default=True),
             ]
-            box = QuestionBox(self, f"Replace {out.name}?", f"There is a file {out}.", choices)
+            box = QuestionBox(self.window(), f"Replace {out.name}?", f"There is a file {out}.", choices)
 
             def answered(label: str) -> None:
                 box.dismiss()
@@ -234,7 +242,7 @@ class CampaignsScreen(Screen):
 
             box.chosen.connect(answered)
 
-        FileDialog(self, title, first, kinds, chosen, save=True)
+        FileDialog(self.window(), title, first, kinds, chosen, save=True)
 
     def run_command(self, command: str, journal: Path, out: Path) -> None:
         """Run `goniotwin COMMAND JOURNAL --out FILE` in a process of its own: its status is what it wrote, and warnings."""

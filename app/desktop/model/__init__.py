@@ -30,11 +30,14 @@ if TYPE_CHECKING:
     from goniotwin.app.desktop.model.readings import BenchReadings as BenchReadings
     from goniotwin.app.desktop.model.readings import current_text as current_text
     from goniotwin.app.desktop.model.readings import trend_text as trend_text
+    from goniotwin.app.desktop.model.results import THEORY as THEORY
+    from goniotwin.app.desktop.model.results import Answered as Answered
+    from goniotwin.app.desktop.model.results import Checked as Checked
     from goniotwin.app.desktop.model.results import Light as Light
     from goniotwin.app.desktop.model.results import Opened as Opened
     from goniotwin.app.desktop.model.results import ResultsFailed as ResultsFailed
     from goniotwin.app.desktop.model.results import ResultsReader as ResultsReader
-    from goniotwin.app.desktop.model.results import Shown as Shown
+    from goniotwin.app.desktop.model.results import View as View
     from goniotwin.app.desktop.model.results import first_light as first_light
     from goniotwin.app.desktop.model.results import nearest_light as nearest_light
     from goniotwin.app.desktop.model.results import value_texts as value_texts

@@ -1,152 +1,118 @@
-"""The results of a journal or a file: its lights, and the pictures and values of one of them, made by a worker. No Qt.
+"""The results of a journal or a file: what a worker has read, and the values in words. No Qt.
 
 The worker keeps the dataset, so that the window needs little memory and never waits. A choice is a request to it.
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from html import escape
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from goniotwin.app.campaign.reduction.components import OTHER, kinds
+from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.points import FLAGS
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.verification import Verdict, verify_journal
+from goniotwin.app.data.comparison import THEORY as THEORY
 from goniotwin.app.data.dataset import Dataset
-from goniotwin.app.data.kinds import cuts, hemisphere
-from goniotwin.app.data.kinds.choice import abscissa, band, is_in_plane
-from goniotwin.app.data.opening import open_dataset
-from goniotwin.app.data.values import SampleData
+from goniotwin.app.data.opening import open_in_parts
+from goniotwin.app.data.results import Light as Light
+from goniotwin.app.data.results import Results, Shown
+from goniotwin.app.data.results import View as View
+from goniotwin.app.data.results import first_light as first_light
+from goniotwin.app.data.results import nearest_light as nearest_light
 from goniotwin.app.desktop.model.worker import Worker, WorkerEnded
 from goniotwin.app.errors import UserError
 from goniotwin.app.figures.curves import COVERAGE
-from goniotwin.app.figures.description import Map, Marks, Panel
-from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics import arc_direction, light_direction
 from goniotwin.twin.optics.geometry.coordinates import zenith_and_azimuth
 
+MOST_CHECKED = 100_000
+"""Values of a journal up to which its verdicts are computed unasked: 4 s."""
 LARGEST, LEAST_SHARE = 5, 0.005
 """Components of a value that are named, and the least share of its u squared that is."""
 ENDED = "the process that reads it was ended by another program, or memory was short; open it again"
 
 
-class Light(NamedTuple):
-    """The light of some values: what there is to choose. `colour` is a wavelength or the name of a channel, as text."""
-
-    sample: str
-    colour: str
-    side: str
-    direction: str
-    sigma_deg: float
-    psi_deg: float
-
-
 @dataclass(frozen=True)
 class Opened:
-    """A file that is open: what it is in words, its remarks, and its lights, of which there is at least one."""
+    """A file that is open, or the first setting of a journal that is being read: in words, and its lights, at least one.
+
+    `whole` is false of the latter. `check`: its verdicts take so little time that nobody has to ask for them.
+    """
 
     number: int
     name: str
     about: str
     notes: tuple[str, ...]
     simulated: bool
+    journal: bool
+    whole: bool
+    check: bool
     lights: tuple[Light, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class Shown:
-    """The values (n,) of a light, and the panels of their map and of their cut; without one `missing` is the reason.
+class Check:
+    """The request for the verdicts on the journal that is open."""
 
-    `band` are lower and upper ends. `plane` are the values in the plane of incidence, by growing `abscissa`. Only a journal has
-    the numbers of its rows, and standard uncertainties by the words of each component.
-    """
+
+@dataclass(frozen=True)
+class Checked:
+    """The verdicts on a journal."""
 
     number: int
-    light: Light
-    data: SampleData
-    band: tuple[Floats, Floats]
-    disc: Panel
-    cut: Panel
-    missing: str
-    plane: Ints
-    abscissa: Floats
-    row: Ints | None
-    components: dict[str, Floats]
+    verdicts: tuple[Verdict, ...]
 
     @property
-    def map(self) -> Map:
-        """The values with their places."""
-        assert self.disc.map is not None
-        return self.disc.map
+    def summary(self) -> str:
+        """Their number by outcome, with the names of those that do not hold."""
+        of = {word: [each.name for each in self.verdicts if each.verdict == word] for word in ("fails", "warns", "holds")}
+        parts = [
+            f"{len(of[word])} {text}: {', '.join(of[word])}"
+            for word, text in (("fails", "fail"), ("warns", "warn"))
+            if of[word]
+        ]
+        return "Checks: " + "; ".join([*parts, f"{len(of['holds'])} hold"])
 
     @property
-    def highest(self) -> int:
-        """The index of the highest value to be trusted."""
-        return int(np.argmax(np.where(self.data.good, self.data.values.values, -np.inf)))
+    def html(self) -> str:
+        """All of them, a paragraph each, with what to do."""
 
-    def place(self, index: int) -> tuple[float, float]:
-        """The place of a value in the map."""
-        return float(self.map.x[index]), float(self.map.y[index])
+        def paragraph(each: Verdict) -> str:
+            name, text, remedy = map(escape, (f"{each.name}: {each.verdict}", each.text, each.remedy))
+            return f"<p><b>{name}</b><br>{text}{f'<br><b>{remedy}</b>' if remedy else ''}</p>"
 
-    def nearest(self, x: float, y: float) -> int:
-        """The index of the direction nearest to a place in the map."""
-        return int(np.argmin((self.map.x - x) ** 2 + (self.map.y - y) ** 2))
+        return "".join(map(paragraph, self.verdicts))
 
-    def towards(self, index: int, right: int, up: int) -> int:
-        """The index of the nearest direction that is right or up of another one in the map; the same where there is none."""
-        x, y = self.map.x - self.map.x[index], self.map.y - self.map.y[index]
-        along, across = x * right + y * up, np.abs(x * up + y * right)
-        there = np.flatnonzero((along > 1e-6) & (across <= along))
-        return int(there[np.argmin(np.hypot(along, 2.0 * across)[there])]) if there.size else index
 
-    def along_plane(self, index: int, step: int) -> int:
-        """The index so many steps further in the plane of incidence; that of its nearest value for one that is not in it."""
-        if not self.plane.size:
-            return index
-        there = np.flatnonzero(self.plane == index)
-        x, y = self.map.x[self.plane] - self.map.x[index], self.map.y[self.plane] - self.map.y[index]
-        at = int(there[0]) + step if there.size else int(np.argmin(np.hypot(x, y)))
-        return int(self.plane[min(max(at, 0), self.plane.size - 1)])
+@dataclass(frozen=True)
+class Answered:
+    """What a view shows."""
 
-    def in_plane_at(self, index: int, angle_deg: float) -> int:
-        """The index of the value in the plane of incidence that is nearest to an abscissa; `index` where there is none."""
-        return int(self.plane[np.argmin(np.abs(self.abscissa - angle_deg))]) if self.plane.size else index
+    number: int
+    shown: Shown
 
 
 @dataclass(frozen=True)
 class ResultsFailed:
-    """A file or a light without a result, and the reason in one line."""
+    """A file or a view without a result, and the reason in one line."""
 
     number: int
     reason: str
 
 
-Answer = Opened | Shown | ResultsFailed
-Request = tuple[int, Path | Light]
-"""The number of the file, and the file to open, or the light of it to show."""
-
-
-def first_light(lights: Sequence[Light]) -> Light:
-    """The light to begin with: of the first sample, of the middle wavelength."""
-    colours = list(dict.fromkeys(each.colour for each in lights if each.sample == lights[0].sample))
-    return nearest_light(lights, lights[0], "colour", colours[len(colours) // 2])
-
-
-def nearest_light(lights: Sequence[Light], like: Light, field: str, value: object) -> Light:
-    """The light most like another one, of those with a value of a field if there are any: not every choice has all others."""
-
-    def unlike(each: Light) -> tuple[bool, int, float]:
-        others = sum(a != b for a, b in zip(each, like, strict=True))
-        return getattr(each, field) != value, others, abs(each.sigma_deg - like.sigma_deg)
-
-    return min(lights, key=unlike)
+Answer = Opened | Checked | Answered | ResultsFailed
+Request = tuple[int, Path | View | Check]
+"""The number of the file, and the file to open, or what to show of it."""
 
 
 def value_texts(shown: Shown, index: int) -> tuple[str, str, str]:
     """A value in words: with U and flags; its direction in each coordinate system; its largest components."""
-    column = shown.data.column
+    column, light = shown.data.column, shown.view.light
     value, u, low, high = (float(each[index]) for each in (column("bsdf"), column("u"), *shown.band))
     text = f"{value:.4g}" if math.isfinite(value) else "no value"
     if math.isfinite(value) and math.isfinite(u):
@@ -155,9 +121,12 @@ def value_texts(shown: Shown, index: int) -> tuple[str, str, str]:
             text += f", interval {low:.3g} to {high:.3g}"
     elif math.isfinite(value):
         text += " 1/sr, no uncertainty"
+    if shown.compared is not None and math.isfinite(shown.compared[0, index]):
+        second, _, z = shown.compared[:, index]
+        text += f"; second {second:.4g} 1/sr" + (f", z = {z:+.2f}" if math.isfinite(z) else "")
     flags = [f"{each}: {FLAGS[each].meaning}" if each in FLAGS else each for each in column("flags")[index].split()]
     polar, azimuth, theta, phi = (column(f"{name}_deg")[index] for name in ("polar", "azimuth", "theta", "phi"))
-    half, difference = half_and_difference(shown.light.sigma_deg, polar, azimuth - shown.light.psi_deg)
+    half, difference = half_and_difference(light.sigma_deg, polar, azimuth - light.psi_deg)
     parts = [
         f"polar angle {polar:.2f}°, azimuth {azimuth:.2f}°",
         f"θ {theta:.2f}°, φ {phi:.2f}°",
@@ -185,88 +154,57 @@ def half_and_difference(sigma_deg: float, polar_deg: float, around_deg: float) -
 
 
 def serve_results(connection: "Connection[Any, Any]") -> None:
-    """Answer each `Request` by an `Answer`; of several requests that wait the latest alone."""
-    results: Results | None = None
-    while (request := connection.recv()) is not None:
-        while request is not None and connection.poll():
-            request = connection.recv()
-        if request is None:
+    """Answer each `Request` by an `Answer`; of several alike that wait the latest alone. Read on while none waits."""
+    work, waiting, number = _Work(), list[Request | None](), 0
+    while True:
+        while connection.poll() or not (waiting or work.steps):
+            waiting.append(connection.recv())
+        if None in waiting:
             return
-        number, wanted = request
+        latest = {type(each[1]): each for each in waiting if each is not None}  # in the order of the first of each type
+        number, wanted = latest.pop(next(iter(latest))) if latest else (number, None)
+        waiting = list(latest.values())
         try:
-            if isinstance(wanted, Path):
-                results = None  # its memory is free for the next one
-                results = Results(open_dataset(wanted))
-                answer: Answer = results.opened(number)
-            else:
-                assert results is not None
-                answer = results.show(number, wanted)
+            answer = work.do(number, wanted)
         except UserError as error:
             answer = ResultsFailed(number, str(error))
         except MemoryError:
             answer = ResultsFailed(number, "there is too little memory for it")
         except Exception as error:  # noqa: BLE001  (of any library: reported, and the window goes on)
             answer = ResultsFailed(number, f"{type(error).__name__}: {error}")
-        connection.send(answer)
+        if answer is not None:
+            connection.send(answer)
 
 
-class Results:
-    """An open dataset, with its values by their lights. Raises UserError for one without values."""
+class _Work:
+    """What a worker has open; `steps` are left while the file is read."""
 
-    def __init__(self, dataset: Dataset) -> None:
-        self._dataset = dataset
-        self._indices: dict[Light, Ints] = {}
-        for sample, data in dataset.data.items():
-            for each in data.lights:
-                colour = each.channel or ("" if math.isnan(each.wavelength_nm) else f"{each.wavelength_nm:g} nm")
-                side, direction = "back" if each.back else "front", "transmitted" if each.transmitted else "reflected"
-                self._indices[Light(sample, colour, side, direction, each.sigma_deg, each.psi_deg)] = each.index
-        if not self._indices:
-            raise UserError(f"{dataset.name}: no sample has values yet")
+    def __init__(self) -> None:
+        self.steps: Iterator[Dataset] | None = None
+        self._path = Path()
+        self._results: Results | None = None
 
-    def opened(self, number: int) -> Opened:
-        """The file in words, and its lights."""
-        of = self._dataset
-        notes = (*of.findings, *of.notes)
-        return Opened(number, of.name, f"{of.origin}, {of.size} values", notes, of.simulated, tuple(self._indices))
-
-    def show(self, number: int, light: Light) -> Shown:
-        """The pictures and values of a light. Raises UserError where none is to be trusted."""
-        here = self._dataset[light.sample].where(self._indices[light])
-        if not here.good.any():
-            raise UserError(f"{here.name}: no value of this light is to be trusted")
-        (disc,) = hemisphere.describe(here, None).panels
-        plane, cut, missing = np.zeros(0, dtype=np.int64), Panel(), ""
-        try:
-            plane = np.flatnonzero(is_in_plane(here))
-            (cut,) = cuts.describe(here, None).panels
-        except UserError as error:
-            missing = str(error)
-        # One curve has the colour of measured values. Where there are few values, they have symbols on paper, and marks here.
-        drawn = [(each, np.isfinite(each.y)) for each in cut.series if each.symbol is not None]
-        few = [Marks("measured", each.x[there], each.y[there]) for each, there in drawn]
-        cut = replace(
-            cut,
-            series=tuple(replace(each, colour="points") for each in cut.series),
-            marks=(*few, *(replace(each, colour="points") for each in cut.marks)),
-            guides=tuple(replace(each, colour="points") for each in cut.guides),
-        )
-        plane = plane[np.argsort(abscissa(here)[plane], kind="stable")]
-        measured, of = here.only.measured, kinds()
-        budget = {} if measured is None else measured.points.budget
-        return Shown(
-            number,
-            light,
-            replace(here.only, measured=None),
-            band(here),
-            disc,
-            cut,
-            missing,
-            plane,
-            abscissa(here)[plane],
-            None if measured is None else measured.points.row,
-            {of.get(name, OTHER).words or name: each for name, each in budget.items()},
-        )
+    def do(self, number: int, wanted: Path | View | Check | None) -> Answer | None:
+        """Answer a request, or read on."""
+        if isinstance(wanted, View):
+            assert self._results is not None
+            return Answered(number, self._results.show(wanted))
+        if isinstance(wanted, Check):
+            with Journal.open(self._path) as journal:
+                return Checked(number, tuple(verify_journal(evaluate_journal(journal))))
+        if wanted is not None:
+            self._results = None  # its memory is free for the next one
+            self._path, self.steps = wanted, open_in_parts(wanted)
+        assert self.steps is not None
+        steps, self.steps = self.steps, None  # none are left after an error
+        if (found := next(steps, None)) is None:
+            return None
+        self._results, self.steps = Results(found), steps
+        notes, journal = (*found.findings, *found.notes), found.origin == "journal"
+        whole = not journal or found.reduced is not None
+        about = f"{found.origin}, {found.size} values{'' if whole else ' so far; the others are being read …'}"
+        check = journal and whole and found.size <= MOST_CHECKED
+        return Opened(number, found.name, about, notes, found.simulated, journal, whole, check, self._results.lights)
 
 
 class ResultsReader:
@@ -288,10 +226,15 @@ class ResultsReader:
         self._number, self._opening = self._number + 1, True
         self._worker.put((self._number, path))
 
-    def show(self, light: Light) -> None:
-        """Ask for the values of a light of the file."""
+    def check(self) -> None:
+        """Ask for the verdicts on the journal that is open."""
         if self._worker is not None:
-            self._worker.put((self._number, light))
+            self._worker.put((self._number, Check()))
+
+    def show(self, view: View) -> None:
+        """Ask for what a view shows of the file."""
+        if self._worker is not None:
+            self._worker.put((self._number, view))
 
     def take(self, answer: object) -> Answer | None:
         """What was delivered, if it is about the file that was asked for last."""
@@ -301,7 +244,7 @@ class ResultsReader:
         assert isinstance(answer, Answer)
         if answer.number != self._number:
             return None
-        self._opening = False
+        self._opening = isinstance(answer, Opened) and not answer.whole
         return answer
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""The results screen: a campaign or a file, the choice of a light, its hemisphere and its cut, and the value at the cursor."""
+"""The results screen: a campaign or a file, the choice of a light, its hemisphere beside a cut, and the value at the cursor."""
 
 from collections.abc import Callable
 from itertools import pairwise
@@ -6,16 +6,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QSize, Qt, Signal, Slot
-from PySide6.QtWidgets import QComboBox, QGridLayout, QHBoxLayout, QLabel, QSplitter, QVBoxLayout
+from PySide6.QtWidgets import QComboBox, QGridLayout, QHBoxLayout, QLabel, QSplitter, QStackedWidget, QVBoxLayout
 
 from goniotwin.app.desktop import model
-from goniotwin.app.desktop.dialogs import FileDialog
+from goniotwin.app.desktop.dialogs import FileDialog, TextBox
 from goniotwin.app.desktop.screen import Screen, WithoutPreferredHeight
 from goniotwin.app.desktop.theme import Colours
 
 if TYPE_CHECKING:  # numpy, the reduction and pyqtgraph are loaded after the window has been shown
-    from goniotwin.app.desktop.model.results import Light, Opened, ResultsReader, Shown
-    from goniotwin.app.desktop.results.panels import ResultCut, ResultMap
+    from goniotwin.app.data.results import Light, Picture, Shown, View
+    from goniotwin.app.desktop.model.results import Checked, Opened, ResultsReader
+    from goniotwin.app.desktop.results.lobe import LobeView
+    from goniotwin.app.desktop.results.panels import ResultMap, ResultPlot
 
 NOTHING = "Choose a campaign on the screen Campaigns, or open a file."
 FIELDS = {
@@ -27,6 +29,16 @@ FIELDS = {
     "psi_deg": "Azimuth of the light psi",
 }
 """The fields of a light that can be chosen, with their names."""
+PICTURES: "dict[Picture, str]" = {
+    "plane": "Plane of incidence",
+    "cursor": "Plane through the cursor",
+    "polar": "Polar diagram",
+    "spectrum": "Spectrum at the cursor",
+    "lobe": "Lobe in space",
+}
+AT_THE_CURSOR = ("cursor", "spectrum")
+"""Pictures that follow the cursor."""
+COMPARISONS = ("Compare with …", "Theory of the virtual sample", "Another file …")
 SYMBOLS = {"sigma_deg": "σ", "psi_deg": "ψ"}
 AT_CURSOR = ("Value at the cursor", "Direction at the cursor", "Largest components of the uncertainty")
 NARROW, LOW = 640, 300
@@ -40,21 +52,26 @@ class ResultsScreen(Screen):
     title = "Results"
     icon = "chart-bell-curve"
 
+    export_wanted = Signal(object)
+    report_wanted = Signal(object)
+    """The journal to export, or to write the report of."""
     _answered = Signal(object)
     """What the worker delivers; emitted in a thread."""
 
     def __init__(self, colours: Colours) -> None:
         super().__init__(colours)
         self.lights: tuple[Light, ...] = ()
-        self.light: Light | None = None
+        self.wanted: View | None = None
+        self.checked: Checked | None = None
         self.shown: Shown | None = None
         self.index = 0
         self._reader: ResultsReader | None = None
-        self.pictures: tuple[ResultMap, ResultCut] | None = None
+        self._asked = False
+        self.pictures: tuple[ResultMap, ResultPlot, LobeView] | None = None
         """Of the first values on."""
         self._path: Path | None = None
         self._folder = Path.home()
-        self._is_error, self._low, self._narrow, self._about = False, False, False, ""
+        self._is_error, self._low, self._narrow, self._about, self._is_journal = False, False, False, "", False
         self.open_button = self._button("Open f&ile…", "Open a journal or a file of values", self._choose_file)
         self.again_button = self._button("Rea&d again", "Read the file again, as a campaign grows", self._again)
         self._mark = QLabel("SIMULATED")
@@ -64,8 +81,28 @@ class ResultsScreen(Screen):
         self.heading.setTextFormat(Qt.TextFormat.PlainText)
         self.heading.setAccessibleName("The file that is shown")
         head = QHBoxLayout()
-        for part in (self.open_button, self.again_button, self._mark, self.heading):
+        self.check_button = self._button("Chec&ks", "The verdicts on the campaign, with what to do", self._show_checks)
+        self.export_button = self._button(
+            "E&xport…", "Export this campaign to a file", lambda: self.export_wanted.emit(self._path)
+        )
+        self.report_button = self._button(
+            "Rep&ort…", "Write the report of this campaign", lambda: self.report_wanted.emit(self._path)
+        )
+        buttons = (self.open_button, self.again_button, self.check_button, self.export_button, self.report_button)
+        for part in (*buttons, self._mark, self.heading):
             head.addWidget(part, 1 if part is self.heading else 0)
+        self.picture, self.comparison = QComboBox(), QComboBox()
+        self.picture.addItems(list(PICTURES.values()))
+        self.comparison.addItems(COMPARISONS)
+        for choice, name, chosen in (
+            (self.picture, "What is shown beside the hemisphere", self._choose_picture),
+            (self.comparison, "What the values are compared with", self._choose_comparison),
+        ):
+            choice.setAccessibleName(name)
+            choice.setToolTip(name)
+            choice.activated.connect(chosen)
+            choice.setMinimumContentsLength(12)
+            choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.choices = {field: QComboBox() for field in FIELDS}
         self.only = {field: QLabel() for field in FIELDS}
         self._grid = QGridLayout()
@@ -105,24 +142,28 @@ class ResultsScreen(Screen):
         self._reader = model.ResultsReader(self._answered.emit)
         self.open_button.setEnabled(True)
 
-    def _make_pictures(self) -> "tuple[ResultMap, ResultCut]":
+    def _make_pictures(self) -> "tuple[ResultMap, ResultPlot, LobeView]":
         """Make the pictures of the first values."""
         # These load pyqtgraph, which the window's first picture does without.
-        from goniotwin.app.desktop.results.panels import ResultCut, ResultMap
+        from goniotwin.app.desktop.results.lobe import LobeView
+        from goniotwin.app.desktop.results.panels import ResultMap, ResultPlot
 
-        disc, cut = ResultMap(self._colours), ResultCut(self._colours)
-        for at, each in enumerate((disc, cut)):
-            each.setMinimumSize(*LEAST_PLOT)
-            self.plots.addWidget(each)
+        disc, plot, lobe = ResultMap(self._colours), ResultPlot(self._colours), LobeView(self._colours)
+        beside = QStackedWidget()
+        for each in (plot, lobe):
+            beside.addWidget(each)
+        for at, part in enumerate((disc, beside)):
+            part.setMinimumSize(*LEAST_PLOT)
+            self.plots.addWidget(part)
             self.plots.setStretchFactor(at, 2 + at)
-        for before, after in pairwise((self.choices["psi_deg"], disc.keys.view, cut.keys.view)):
+        for before, after in pairwise((self.comparison, disc.keys.view, plot.keys.view, lobe)):
             self.setTabOrder(before, after)
         disc.keys.pressed.connect(lambda right, up: self._move(lambda shown: shown.towards(self.index, right, up)))
         disc.keys.clicked.connect(lambda x, y: self._move(lambda shown: shown.nearest(x, y)))
-        cut.keys.pressed.connect(lambda right, _up: self._move(lambda shown: shown.along_plane(self.index, right)))
-        cut.keys.clicked.connect(lambda x, _y: self._move(lambda shown: shown.in_plane_at(self.index, x)))
+        plot.keys.pressed.connect(lambda right, _up: self._move(lambda shown: shown.along_plane(self.index, right), along=True))
+        plot.keys.clicked.connect(lambda x, _y: self._move(lambda shown: shown.in_plane_at(self.index, x), along=True))
         disc.setHidden(self._narrow)
-        return disc, cut
+        return disc, plot, lobe
 
     def set_folder(self, folder: Path) -> None:
         """Take the folder in which a file is looked for first."""
@@ -145,7 +186,9 @@ class ResultsScreen(Screen):
             row, column = divmod(at, 3 if room.width() < NARROW else len(FIELDS))
             for each in (self.choices[field], self.only[field]):
                 self._grid.addWidget(each, row, column)
-        self._grid.setColumnStretch(len(FIELDS), 1)
+        for at, choice in enumerate((self.picture, self.comparison)):
+            self._grid.addWidget(choice, 0 if room.width() >= NARROW else 2, len(FIELDS) + at if room.width() >= NARROW else at)
+        self._grid.setColumnStretch(len(FIELDS) + 2, 1)
         self._low, self._narrow = room.height() < LOW, room.width() < NARROW
         if self.pictures is not None:
             self.pictures[0].setHidden(self._narrow)
@@ -163,8 +206,10 @@ class ResultsScreen(Screen):
         if self._reader is not None:
             self._clear(f"Reading {path.name} …")
             if path != self._path:
-                self.light = None
-            self._path = path
+                self.wanted = None
+                self.picture.setCurrentIndex(0)
+                self.comparison.setCurrentIndex(0)
+            self._path, self.checked, self._is_journal = path, None, False
             self.again_button.setEnabled(True)
             self._reader.open(path)
 
@@ -188,39 +233,93 @@ class ResultsScreen(Screen):
         self.open_button.setEnabled(self._reader is not None)
         self.again_button.setEnabled(self._path is not None)
         self.plots.hide()
+        self._show_buttons()
         self._show_texts()
         self.set_colours(self._colours)
+
+    def _show_buttons(self) -> None:
+        """Allow what is possible with the file that is open."""
+        for each in (self.check_button, self.export_button, self.report_button):
+            each.setEnabled(self._is_journal)
+        for choice in (self.picture, self.comparison):
+            choice.setVisible(bool(self.lights))
+        self.check_button.setToolTip("" if self.checked is None else self.checked.summary)
+
+    def _show_checks(self) -> None:
+        """Show the verdicts, or ask for them."""
+        if self.checked is not None:
+            TextBox(self.window(), "Checks of the campaign", self.checked.html).show()
+        elif self._reader is not None:
+            self.check_button.setEnabled(False)
+            self.check_button.setToolTip("The checks are being computed …")
+            self._asked = True
+            self._reader.check()
 
     @Slot(object)
     def _take(self, delivered: object) -> None:
         answer = None if self._reader is None else self._reader.take(delivered)
         if isinstance(answer, model.Opened):
             self._show_opened(answer)
-        elif isinstance(answer, model.Shown) and answer.light == self.light:
-            self._show_values(answer)
+        elif isinstance(answer, model.Answered) and answer.shown.view == self.wanted:
+            self._show_values(answer.shown)
+        elif isinstance(answer, model.Checked):
+            self.checked = answer
+            self.heading.setText(f"{self._about}; {answer.summary}")
+            self._show_buttons()
+            if self._asked:
+                self._asked = False
+                self._show_checks()
         elif isinstance(answer, model.ResultsFailed):
             self._clear(answer.reason, error=True, choices=not self.lights)
 
-    # The light.
+    # The view.
 
     def _show_opened(self, opened: "Opened") -> None:
         self.lights = opened.lights
+        self._is_journal = opened.journal and opened.whole
         self._about = f"{opened.name}: {opened.about}"
         self.heading.setText(self._about)
         self.heading.setToolTip("\n".join(opened.notes))
         self._mark.setVisible(opened.simulated)
-        of, before = self.lights, self.light
-        self._show_light(model.first_light(of) if before is None else model.nearest_light(of, before, "sample", before.sample))
+        theory = self.comparison.model().item(1)
+        theory.setEnabled(self._is_journal and opened.simulated)
+        self._show_buttons()
+        of, before = self.lights, self.wanted
+        if before is None:
+            self._show(model.View(model.first_light(of)))
+        else:
+            self._show(before._replace(light=model.nearest_light(of, before.light, "sample", before.light.sample)))
+        if opened.check and self._reader is not None:
+            self._reader.check()
 
     def _choose(self, field: str, at: int) -> None:
-        if self.light is not None:
-            self._show_light(model.nearest_light(self.lights, self.light, field, self._values(field)[at]))
+        if self.wanted is not None:
+            light = model.nearest_light(self.lights, self.wanted.light, field, self._values(field)[at])
+            self._show(self.wanted._replace(light=light))
 
-    def _show_light(self, light: "Light") -> None:
-        self.light = light
+    def _choose_picture(self, at: int) -> None:
+        if self.wanted is not None:
+            self._show(self.wanted._replace(picture=list(PICTURES)[at]))
+
+    def _choose_comparison(self, at: int) -> None:
+        if self.wanted is None:
+            return
+        if at < 2:
+            self._show(self.wanted._replace(other=model.THEORY if at else None))
+            return
+
+        def chosen(path: Path) -> None:
+            if self.wanted is not None:
+                self._show(self.wanted._replace(other=path))
+
+        FileDialog(self, "Compare with a journal or a file of values", self._folder, "All files (*)", chosen)
+
+    def _show(self, view: "View") -> None:
+        """Ask for a view, with the cursor where it is."""
+        self.wanted = view if self.shown is None else view._replace(cursor=self.shown.place(self.index))
         self._show_choices()
         if self._reader is not None:
-            self._reader.show(light)
+            self._reader.show(self.wanted)
 
     def _values(self, field: str) -> list[str | float]:
         """What there is to choose of a field."""
@@ -233,8 +332,8 @@ class ResultsScreen(Screen):
             if [choice.itemText(at) for at in range(choice.count())] != texts:
                 choice.clear()
                 choice.addItems(texts)
-            if self.light is not None and values:
-                choice.setCurrentIndex(values.index(getattr(self.light, field)))
+            if self.wanted is not None and values:
+                choice.setCurrentIndex(values.index(getattr(self.wanted.light, field)))
             only.setText(texts[0] if len(texts) == 1 else "")
             only.setVisible(len(texts) == 1)
             choice.setVisible(len(texts) > 1)
@@ -250,18 +349,31 @@ class ResultsScreen(Screen):
             self.set_colours(self._colours)
         for each in self.pictures:
             each.show_values(shown)
+        beside = self.plots.widget(1)
+        assert isinstance(beside, QStackedWidget)
+        beside.setCurrentIndex(int(shown.view.picture == "lobe"))
         self.plots.show()
-        same = before is not None and before.light._replace(sample=shown.light.sample, colour=shown.light.colour) == shown.light
-        self.index = shown.highest if before is None or not same else shown.nearest(*before.place(self.index))
-        self._move(lambda _: self.index)
+        self.index = (
+            shown.highest if before is None or not _alike(before.view.light, shown.view.light) else self._kept(before, shown)
+        )
+        for each in self.pictures[:2]:
+            each.set_cursor(shown, self.index)
+        self._show_texts()
 
-    def _move(self, to: "Callable[[Shown], int]") -> None:
-        """Move the cursor to another value."""
-        if self.shown is not None:
-            self.index = to(self.shown)
-            for each in self.pictures or ():
-                each.set_cursor(self.shown, self.index)
-            self._show_texts()
+    def _kept(self, before: "Shown", shown: "Shown") -> int:
+        """The index of the value at the cursor in what is shown now."""
+        return shown.nearest(*before.place(self.index))
+
+    def _move(self, to: "Callable[[Shown], int]", *, along: bool = False) -> None:
+        """Move the cursor to another value; a picture that follows it is made anew, but for a move along its own plane."""
+        if self.shown is None:
+            return
+        self.index = to(self.shown)
+        for each in (self.pictures or ())[:2]:
+            each.set_cursor(self.shown, self.index)
+        self._show_texts()
+        if self.wanted is not None and self.wanted.picture in AT_THE_CURSOR and not along:
+            self._show(self.wanted)
 
     def _show_texts(self) -> None:
         texts = ("",) * len(self.texts) if self.shown is None else model.value_texts(self.shown, self.index)
@@ -269,6 +381,11 @@ class ResultsScreen(Screen):
             label.setText(text)
             label.setToolTip("\n".join(texts))
             label.setVisible(bool(text) and (at == 0 or not self._low))
+
+
+def _alike(one: "Light", other: "Light") -> bool:
+    """Whether two lights have the same directions: they differ by sample and wavelength at most."""
+    return one._replace(sample=other.sample, colour=other.colour) == other
 
 
 def _choice_text(field: str, value: str | float) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QTextBrowser
 from pytestqt.qtbot import QtBot
 
 import goniotwin
@@ -16,17 +17,11 @@ from goniotwin.app.campaign.reduction.components import kinds
 from goniotwin.app.campaign.rehearsal.without_wires import rows_without_wires, run_without_wires
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.data.dataset import Dataset
+from goniotwin.app.data.results import Light, Results, View, first_light, nearest_light
 from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
-from goniotwin.app.desktop.model.results import (
-    ENDED,
-    Light,
-    Results,
-    first_light,
-    half_and_difference,
-    nearest_light,
-    value_texts,
-)
-from goniotwin.app.desktop.results.screen import NOTHING, ResultsScreen
+from goniotwin.app.desktop.dialogs import TextBox
+from goniotwin.app.desktop.model.results import ENDED, half_and_difference, value_texts
+from goniotwin.app.desktop.results.screen import COMPARISONS, NOTHING, PICTURES, ResultsScreen
 from goniotwin.app.desktop.theme import DARK, LIGHT
 from goniotwin.app.errors import UserError
 from goniotwin.app.figures.curves import COVERAGE
@@ -76,7 +71,12 @@ def choose(qtbot: QtBot, screen: ResultsScreen, field: str, text: str) -> None:
     for _ in range(abs(at - choice.currentIndex())):
         qtbot.keyClick(choice, Qt.Key.Key_Down if at > choice.currentIndex() else Qt.Key.Key_Up)
     qtbot.waitUntil(lambda: screen.shown is not before and screen.shown is not None, timeout=READY_MS)
-    qtbot.waitUntil(lambda: screen.shown is not None and screen.shown.light == screen.light, timeout=READY_MS)
+    settled(qtbot, screen)
+
+
+def settled(qtbot: QtBot, screen: ResultsScreen) -> None:
+    """Wait for what was chosen last."""
+    qtbot.waitUntil(lambda: screen.shown is not None and screen.shown.view == screen.wanted, timeout=READY_MS)
 
 
 def agrees(screen: ResultsScreen, of: Dataset) -> None:
@@ -126,7 +126,7 @@ def test_a_campaign_is_opened_by_enter_and_its_values_are_read_by_keys(
     choose(qtbot, screen, "sigma_deg", "σ 45°")
     of = dataset.select(wavelength_nm=600.0, sigma_deg=45.0)
     agrees(screen, of)
-    tab_to("Cut in the plane of incidence")
+    tab_to("Picture beside the hemisphere")
     first, angles = screen.index, []
     for key in ("Left", "Left", "Right"):
         press(key)
@@ -159,7 +159,7 @@ def test_a_file_has_the_values_that_it_has_for_open(qtbot: QtBot, screen: Result
     screen.set_colours(DARK)
     screen.grab()
     assert screen.pictures is not None
-    disc, cut = screen.pictures
+    disc, cut, _ = screen.pictures
     assert "highest" in disc.summary
     assert cut.summary.startswith("bands: U (k = 2), median")
 
@@ -203,7 +203,7 @@ def test_a_campaign_in_progress_is_opened_and_read_again(
         qtbot.waitUntil(lambda: screen.shown is not None, timeout=READY_MS)
         some = goniotwin.open(path)
         before = screen.heading.text()
-        assert before.endswith(f"{some.size} values")
+        assert f"{some.size} values" in before
         for each in rows:
             journal.commit(each.row, each.data)
         click(screen.again_button)
@@ -220,6 +220,40 @@ def test_a_worker_that_is_ended_is_reported_and_the_next_file_has_another(
     worker.kill()
     qtbot.waitUntil(lambda: screen.heading.text() == f"✗ {ENDED}", timeout=READY_MS)
     opened(qtbot, screen, journal)
+
+
+def test_pictures_a_comparison_and_the_checks_are_chosen_by_keys(
+    qtbot: QtBot, screen: ResultsScreen, journal: Path, tmp_path: Path
+) -> None:
+    opened(qtbot, screen, journal)
+    qtbot.waitUntil(lambda: screen.checked is not None, timeout=READY_MS)
+    assert screen.heading.text().endswith(screen.checked.summary)
+    assert screen.pictures is not None
+    _, plot, lobe = screen.pictures
+    for picture in list(PICTURES)[1:]:
+        screen.picture.setFocus()
+        qtbot.keyClick(screen.picture, Qt.Key.Key_Down)
+        settled(qtbot, screen)
+        assert screen.shown is not None
+        assert screen.shown.view.picture == picture
+        screen.grab()
+    assert lobe.isVisible()
+    assert lobe.accessibleDescription().startswith("The directions span no area")  # all are in the plane of incidence
+    screen.picture.setCurrentIndex(0)
+    screen.picture.activated.emit(0)
+    screen.comparison.setFocus()
+    qtbot.keyClick(screen.comparison, Qt.Key.Key_Down)
+    settled(qtbot, screen)
+    assert screen.comparison.currentText() == COMPARISONS[1]
+    assert screen.shown is not None
+    assert screen.shown.compared is not None
+    assert "chi-square" in plot.summary
+    second, _, z = screen.shown.compared[:, screen.index]
+    assert f"; second {second:.4g} 1/sr, z = {z:+.2f}; " in screen.texts[0].text()
+    click(screen.check_button)
+    (box,) = [each for each in screen.findChildren(TextBox) if each.isVisible()]
+    assert "energy of gaussian-5: " in box.findChild(QTextBrowser).toPlainText()
+    box.close()
 
 
 def test_a_choice_takes_the_nearest_light_that_there_is(tmp_path: Path) -> None:
@@ -255,21 +289,22 @@ def test_channels_sides_and_values_without_uncertainty_or_trust(tmp_path: Path) 
         "flags": np.array(["", "", "clipped"] * 3 + ["clipped"] * 3),
     }
     results = Results(Dataset.from_table(table))
-    lights = results.opened(1).lights
+    lights = results.lights
     assert {(each.colour, each.direction) for each in lights} == set(
         itertools.product(("red", "green"), ("reflected", "transmitted"))
     )
     light = next(each for each in lights if each[1:4] == ("red", "front", "reflected"))
-    shown = results.show(1, light)
+    shown = results.show(View(light))
     value, where, shares = value_texts(shown, 2)
     assert value == "0.1364 1/sr, no uncertainty; clipped: saturated at every gain"
     assert "row" not in where
     assert shares == ""
     assert shown.highest == 1
-    assert shown.cut.scale is not None
+    assert shown.beside is not None
+    assert shown.beside.scale is not None
     with pytest.raises(UserError, match="no value of this light is to be trusted"):
-        results.show(1, next(each for each in lights if each[1:4] == ("green", "front", "transmitted")))
+        results.show(View(next(each for each in lights if each[1:4] == ("green", "front", "transmitted"))))
     aside = Results(Dataset.from_table({name: each[:3] for name, each in table.items()} | {"azimuth_deg": np.full(3, 90.0)}))
-    (light,) = aside.opened(1).lights
-    shown = aside.show(1, light)
+    (light,) = aside.lights
+    shown = aside.show(View(light))
     assert shown.plane.size == 1  # the normal
