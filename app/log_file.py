@@ -7,6 +7,7 @@ the process, the level, the module and the message. No record has a token, and n
 import logging
 import logging.handlers
 import platform
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -17,6 +18,8 @@ LOG = logging.getLogger("goniotwin")
 LINE = "%(asctime)s real %(process)d %(levelname)s %(name)s: %(message)s"
 MOST_BYTES, OLD_FILES = 5_000_000, 4
 """Size at which a log file is renamed to FILE.1, and the number of renamed ones that are kept."""
+FIRST, MOST_READ = re.compile(rb"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} real \d+ [A-Z]+ "), 64
+"""How each line of a log begins, and as many bytes of a file as show that."""
 PRINTED = "goniotwin.app.cli.output"
 """Its records are what a command prints."""
 
@@ -24,10 +27,15 @@ PRINTED = "goniotwin.app.cli.output"
 class LogFile(logging.handlers.RotatingFileHandler):
     """A log file of limited size. Where it cannot be written, one line says so, and the command goes on without it.
 
-    Raises OSError where it cannot be opened.
+    A log that is there is continued. Raises FileExistsError for any other file, which is left as it is, and OSError where it
+    cannot be opened.
     """
 
     def __init__(self, path: Path) -> None:
+        if path.is_file():
+            with path.open("rb") as file:
+                if (first := file.read(MOST_READ)) and FIRST.match(first) is None:
+                    raise FileExistsError(f"{path} is no log of goniotwin")
         super().__init__(path, maxBytes=MOST_BYTES, backupCount=OLD_FILES, encoding="utf-8", errors="backslashreplace")
         self._failed = False
         self.setFormatter(logging.Formatter(LINE))

@@ -8,7 +8,7 @@ import typer
 import typer.main
 
 from goniotwin.app import log_file as log
-from goniotwin.app.errors import unusable
+from goniotwin.app.errors import UserError, unusable
 
 
 def _log_to_file(context: typer.Context, path: Path | None) -> None:
@@ -17,6 +17,8 @@ def _log_to_file(context: typer.Context, path: Path | None) -> None:
         return
     try:
         handler = log.LogFile(path)
+    except FileExistsError as error:
+        raise UserError(f"{error}, and is left as it is; name another file for --log-file") from None
     except OSError as error:
         raise unusable(path, "the log cannot be written", error, "name a file in a folder that you can write to") from None
     _log_until_end(context, handler)

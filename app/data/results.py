@@ -56,11 +56,11 @@ class View(NamedTuple):
 class Shown:
     """The values (n,) of a view's light with the ends of their `band`, and the panels: `disc`, `beside` and `residual`.
 
-    Without the panel beside, `missing` is the reason. A cut is in the plane at the azimuth `plane_deg` from the light's, and has
-    the values `plane` (m,) by growing `abscissa`. `image` are the shares of the bar over the map, and `surface` its triangles,
-    None where the directions span no area. Only a journal has the numbers of its rows, and standard uncertainties by the words
-    of each component. Compared with another dataset, `compared` (3, n) are its values, their u and z, NaN where it has none;
-    `about` has chi-square, or why there is no comparison.
+    Without the panel beside, `missing` is the reason. A cut is in the plane at `plane_deg`, its azimuth from the light's, and
+    has the values `plane` (m,) by growing `abscissa`. `image` are the shares of the bar over the map, and `surface` its
+    triangles, None where the directions span no area. Only a journal has the numbers of its rows, and standard uncertainties
+    by the words of each component. Compared with another dataset, `compared` (3, n) are its values, their u and z, NaN where
+    it has none; `about` has chi-square, or why there is no comparison.
     """
 
     view: View

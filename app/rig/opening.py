@@ -1,5 +1,6 @@
 """Opening of a rig: drivers on their wires, and the virtual rig behind them."""
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -20,6 +21,8 @@ from goniotwin.drivers import Device, Rig, Transcript
 from goniotwin.protocols.clock import Clock
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.doors import register, unregister
+
+LOG = logging.getLogger(__name__)
 
 
 @dataclass
@@ -121,6 +124,8 @@ def open_rig(description: RigDescription, clock: Clock, transcript: Path | None 
     except UserError:
         opened.close()
         raise
+    for each in file.devices:
+        LOG.info("%s at %s", each.name, in_this_process(each.address))
     return opened
 
 

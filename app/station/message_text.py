@@ -20,7 +20,8 @@ def message_text(message: Message) -> str:
     """One line about a message that a person can use; empty for what a screen shows alone, such as positions."""
     match message:
         case RigOpened(devices=devices):
-            text = "rig opened; not responding: " + (" and ".join(message.not_responding) or f"none of {len(devices)} devices")
+            silent = " and ".join(message.not_responding)
+            text = f"rig opened; {f'not responding: {silent}' if silent else f'{len(devices)} devices respond'}"
         case RigClosed(reason):
             text = f"rig closed {reason}"
         case RunBegun(journal, name):

@@ -204,7 +204,7 @@ def _scale(session: CheckSession, controller: MotionController, subject: str) ->
     target = _target(axis, start_deg, LONGER_MOVE_DEG)
     first = _read_scale(session, subject)
     if first is None:
-        return not_checked("its scale was not read; run it in a terminal without --yes")
+        return not_checked("its scale was not read; a person reads it, in a terminal and without --yes")
     session.move(subject, target)
     second = _read_scale(session, subject)
     session.move(subject, start_deg)

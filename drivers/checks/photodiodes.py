@@ -87,7 +87,7 @@ def _light(session: CheckSession, device: PhotodiodeArray, _subject: str) -> Che
     if lost := [name for name in POSE_DEG if session.rig.axes[name].unreferenced_reason]:
         return not_checked(f"{' and '.join(lost)} cannot be moved; reference the axes first", expected)
     if not session.mount(WHITE):
-        return not_checked("the white standard was not mounted; run it in a terminal without --yes", expected)
+        return not_checked("the white standard was not mounted; a person mounts it, in a terminal and without --yes", expected)
     found = {name: session.rig.axes[name].position_deg() for name in POSE_DEG}
     for name, angle in found.items():
         session.rig.axes[name].check_limits(angle)  # else it could not come back

@@ -61,6 +61,25 @@ def test_a_log_that_cannot_be_opened_is_one_line(name: str, small: Path, tmp_pat
     assert "the log cannot be written" in done.stderr
 
 
+@pytest.mark.parametrize("content", [b"a,b\n1,2\n", b"SQLite format 3\0", b"\x89HDF\r\n", b"2026"])
+def test_a_file_that_is_no_log_is_left_as_it_is(content: bytes, small: Path, tmp_path: Path) -> None:
+    path = tmp_path / "values.csv"
+    path.write_bytes(content)
+    done = invoke("check", small, "--rig", RIG, "--log-file", path)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert f"{path} is no log of goniotwin, and is left as it is; name another file" in done.stderr
+    assert path.read_bytes() == content
+    assert [each.name for each in tmp_path.iterdir() if each.name.startswith("values")] == ["values.csv"]
+
+
+def test_a_log_that_is_there_is_continued(small: Path, tmp_path: Path) -> None:
+    path = tmp_path / "a.log"
+    for _ in range(2):
+        assert invoke("check", small, "--rig", RIG, "--log-file", path).returncode == 0
+    text = path.read_text(encoding="utf-8")
+    assert text.count("command: ") == 2
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
 def test_a_log_that_breaks_off_is_one_line_and_the_command_goes_on(small: Path) -> None:
     done = invoke("check", small, "--rig", RIG, "--log-file", "/dev/full")

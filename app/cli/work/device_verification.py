@@ -1,5 +1,6 @@
 """`goniotwin verify-device`: the checks of the devices of a rig, what moves nothing first, and their report."""
 
+import logging
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -11,15 +12,17 @@ import goniotwin
 from goniotwin.app.campaign.campaign import clock_for, operator_for
 from goniotwin.app.cli.output import error_console, print_order, print_warning
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats.file import write_file
+from goniotwin.app.formats.file import check_writable, write_file
 from goniotwin.app.rig import OpenRig, RigDescription, open_rig, read_rig
 from goniotwin.drivers import Device, DeviceError, Rig
 from goniotwin.drivers.checks import CheckOutcome, CheckSession, CheckVerdict, DeviceCheck, checks_of
 from goniotwin.drivers.checks.check import not_checked
 from goniotwin.protocols.clock import calendar_stamp
 
-NOT_CONFIRMED = "it moves a device and was not confirmed; run it in a terminal, or give --yes"
-YES = ("y", "yes")
+LOG = logging.getLogger(__name__)
+NOT_CONFIRMED = "it moves a device, and the answer was not yes"
+NO_TERMINAL = "it moves a device, and there is no terminal to confirm it; run it in one, or give --yes"
+YES = "yes"
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,11 @@ class CheckRecord:
         """For JSON."""
         shown = {"device": self.device, "subject": self.subject, "check": self.check, "moves": self.moves}
         return {**shown, **vars(self.outcome)}
+
+    @property
+    def in_one_line(self) -> str:
+        """For the log."""
+        return " ".join(str(self).split())
 
     def __str__(self) -> str:
         of = self.device if self.subject == self.device else f"{self.device}, {self.subject}"
@@ -84,6 +92,8 @@ def verify_devices(
 
     Outcomes are printed as they come unless `quiet`. Raises UserError.
     """
+    if report is not None:
+        check_writable(report)
     description = read_rig(path)
     program = f"goniotwin {goniotwin.__version__}"
     result = VerificationRecord(description.file.name, description.simulated, calendar_stamp(), program)
@@ -94,6 +104,7 @@ def verify_devices(
 
         def note(device: Device, subject: str, check: DeviceCheck, outcome: CheckOutcome) -> None:
             result.records.append(CheckRecord(device.name, subject, check.what, check.moves, outcome))
+            LOG.info("%s", result.records[-1].in_one_line)
             if not quiet:
                 print(result.records[-1], flush=True)
 
@@ -153,9 +164,7 @@ def _check_all(
                     else:
                         if moves and confirmed is None:
                             confirmed = confirm()
-                        outcome = (
-                            not_checked(NOT_CONFIRMED) if moves and not confirmed else check.outcome(session, device, subject)
-                        )
+                        outcome = check.outcome(session, device, subject) if confirmed or not moves else _not_confirmed()
                     first = False
                     if outcome.verdict is CheckVerdict.DIFFERS and subject in session.rig.axes:
                         differing.add(subject)
@@ -196,7 +205,7 @@ def _mount(description: RigDescription, opened: OpenRig, *, yes: bool) -> Callab
                 return False
             return True
         answer = None if yes else _ask(f"mount the white standard in the sample unit, then type yes ({sample})")
-        return answer is not None and answer.lower() in YES
+        return answer is not None and answer.lower() == YES
 
     return mount
 
@@ -206,7 +215,7 @@ def _confirmed(chosen: Chosen) -> bool:
     what = [f"{name} ({', '.join(sorted(parts))})" if parts else name for name, (_, parts) in chosen.items()]
     danger = "keep away from the arc and the sample unit, and have the main switch within reach"
     answer = _ask(f"the following checks move: {', '.join(what)}; {danger}. Type yes to go on")
-    return answer is not None and answer.lower() in YES
+    return answer is not None and answer.lower() == YES
 
 
 def _ask(question: str) -> str | None:
@@ -215,6 +224,10 @@ def _ask(question: str) -> str | None:
         return None
     error_console().print(f"{question}: ", end="", markup=False)
     return sys.stdin.readline().strip() or None
+
+
+def _not_confirmed() -> CheckOutcome:
+    return not_checked(NOT_CONFIRMED if sys.stdin.isatty() else NO_TERMINAL)
 
 
 def _no_answer(_question: str) -> str | None:

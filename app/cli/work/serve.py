@@ -2,6 +2,7 @@
 
 import getpass
 import json
+import logging
 import re
 import secrets
 import sys
@@ -15,6 +16,8 @@ from goniotwin.app.rig.lock import lock_served_rig
 from goniotwin.app.rig.served_file import FIRST_LINE, check_served_rig, served_alignment, served_rig, write_served_rig
 from goniotwin.mocks.served import ServedRig
 from goniotwin.twin import TwinModel
+
+LOG = logging.getLogger(__name__)
 
 
 def serve_rig(rig: Path, speed: float, write_rig: Path | None, ptys: Path | None, *, control: bool) -> None:
@@ -37,12 +40,14 @@ def serve_rig(rig: Path, speed: float, write_rig: Path | None, ptys: Path | None
             write_served_rig(write_rig, served_rig(description, served.endpoints, speed, alignment, server))
         for endpoint in served.endpoints:
             print(json.dumps(endpoint.as_dict()), flush=True)
+            LOG.info("%s: %s", endpoint.device, endpoint.path or f"{endpoint.host}:{endpoint.port}")  # without its token
         threading.Event().wait()
     except OSError as error:
         advice = "; check that the names and ports are free" if error.errno is not None else ""
         raise UserError(f"{description.name}: cannot be served: {error}{advice}") from None
     except KeyboardInterrupt:
         print("goniotwin: serving ended", file=sys.stderr)
+        LOG.info("serving ended")
     finally:
         served.stop()
         if lock is not None:
