@@ -124,7 +124,7 @@ def prove(
     whose coverage is off by more than 1 % and by more than 2.6 standard errors.
 
     A finished rig is not run again. After Ctrl-C the same command continues, and you can ask for more --rigs or
-    --structures. With --dask, other computers compute them (docs/analyse/sweeps.md).
+    --structures. With --dask, other computers compute them (page "Sweeps" of the documentation).
 
     Exit status: 0 if all rigs are done, 1 if a campaign did not finish, 130 after Ctrl-C.
     """

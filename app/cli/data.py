@@ -42,7 +42,7 @@ WavelengthOption = Annotated[
 ]
 FillOption = Annotated[
     Fill,
-    typer.Option("--fill", help="How to fill directions that were not measured: docs/exchange/formats.md."),
+    typer.Option("--fill", help='How to fill directions that were not measured: see "Formats" in the documentation.'),
 ]
 DamagedOption = Annotated[
     bool, typer.Option("--without-damaged", help="Leave out damaged rows. Otherwise they prevent the output.")

@@ -183,7 +183,7 @@ def verify_device(
 
     The first checks move nothing: identities, settings, reply times, gains, dark levels. Then the program asks you. After a yes
     it tests small moves, a stop, a change of wavelength, the shutter and the filter wheel. It leaves the devices as it found
-    them. Ctrl-C stops all axes. docs/rig/arrival.md lists the checks.
+    them. Ctrl-C stops all axes. The page "The day the rig arrives" of the documentation lists the checks.
 
     Exit status: 0 if nothing differs, 1 if something differs, 2 for bad input.
     """

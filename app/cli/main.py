@@ -179,7 +179,7 @@ def desktop(
 def tolerances(
     study: Annotated[
         Path,
-        typer.Argument(metavar="FILE.toml", help="Study file. docs/physics/tolerances.md explains it.", show_default=False),
+        typer.Argument(metavar="FILE.toml", help='Study file: page "Tolerances" of the documentation.', show_default=False),
     ],
     out: Annotated[
         Path | None,

@@ -157,7 +157,7 @@ def simulate_sample(
     Both estimators count light that the sample scattered once. With --stray they count all light that arrives.
 
     With --folder, you can interrupt the forward estimator. The same command then continues. --processes and --dask trace on
-    several cores or other computers (docs/analyse/sweeps.md).
+    several cores or other computers (page "Sweeps" of the documentation).
     """
     if sample is None or not out:
         missing = "--sample" if sample is None else "--out"
@@ -216,7 +216,7 @@ def rigs(
     over all detectors with at least a hundredth of the largest value.
 
     A finished rig is not simulated again. After Ctrl-C the same command continues, and you can ask for more --rigs. With
-    --dask, other computers simulate them (docs/analyse/sweeps.md).
+    --dask, other computers simulate them (page "Sweeps" of the documentation).
     """
     from goniotwin.app.cli.work.rigs import RigsOptions, simulate_random_rigs
 

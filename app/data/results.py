@@ -1,6 +1,7 @@
 """The results of a dataset by their light: values, and the panels that show them, alone and beside a second dataset."""
 
 import math
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,8 +9,13 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.components import OTHER, kinds
-from goniotwin.app.data.comparison import LightComparison, compare, theory
+from goniotwin.app.campaign.rehearsal.without_wires import expected_model, run_without_wires
+from goniotwin.app.campaign.running.resume import recorded_rig
+from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.data.comparison import THEORY, LightComparison, compare, theory
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.kinds import comparison, cuts, hemisphere, polar, spectrum
 from goniotwin.app.data.kinds.choice import NEAR_PLANE_DEG, around_deg, band, cut_of_plane
@@ -24,6 +30,7 @@ from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, TOLERANCE_DEG
 
 Picture = Literal["plane", "cursor", "polar", "spectrum", "lobe"]
+PREDICTION = "prediction"
 PICTURES: tuple[Picture, ...] = get_args(Picture)
 """Beside the map: the plane of incidence, the plane through normal and cursor, the polar diagram, the spectrum at the cursor,
 the lobe in space (which the map's surface is)."""
@@ -43,7 +50,7 @@ class Light(NamedTuple):
 class View(NamedTuple):
     """What is to be shown: a light, a picture beside its map, the place of the cursor in the map, and what it is compared with.
 
-    `other` is a file, THEORY for the model of a virtual rig's sample, or None.
+    `other` is a file, THEORY for the model of a virtual rig's sample, PREDICTION for what its twin measures, or None.
     """
 
     light: Light
@@ -145,8 +152,10 @@ def nearest_light(lights: tuple[Light, ...], like: Light, field: str, value: obj
 class Results:
     """The values of a dataset by their lights. Raises UserError for one without values, GoniotwinError for a second file."""
 
-    def __init__(self, dataset: Dataset) -> None:
+    def __init__(self, dataset: Dataset, path: Path | None = None) -> None:
+        """The values of a dataset; `path` is its journal, for predictions."""
         self.dataset = dataset
+        self._path = path
         self._indices: dict[Light, Ints] = {}
         self._other: tuple[Path | str, Dataset] | None = None
         for sample, data in dataset.data.items():
@@ -238,12 +247,12 @@ class Results:
 
     def _compared(self, here: Dataset, other: Path | str) -> tuple[str, LightComparison]:
         """The name of another dataset, and the comparison. Raises UserError where they have nothing in common."""
-        if isinstance(other, str):
+        if other == THEORY:
             second = theory(here)
         else:
             if self._other is None or self._other[0] != other:
                 self._other = None  # its memory is free for the next one
-                self._other = other, open_dataset(other)
+                self._other = other, predicted(self._path or Path()) if isinstance(other, str) else open_dataset(other)
             second = self._other[1]
             names = [here.sample] if here.sample in second.samples else list(second.samples)
             if len(names) > 1:
@@ -251,6 +260,19 @@ class Results:
             second = second[names[0]]
         (found,) = compare(here, second).lights
         return second.name, found
+
+
+def predicted(journal: Path) -> Dataset:
+    """What the twin of a journal's rig measures by its schedule, with noise of its own. Raises UserError without a twin."""
+    with Journal.open(journal) as opened:
+        schedule = parse_schedule(opened.value("schedule"), f"{journal} (schedule)")
+        if schedule.file.certificate is not None:
+            schedule = replace(schedule, certificate=opened.value("certificate"))
+        plan = make_plan(schedule, recorded_rig(opened))
+    with tempfile.TemporaryDirectory(prefix="goniotwin-prediction-") as folder:
+        path = Path(folder) / "prediction.journal"
+        run_without_wires(plan, path, expected_model(plan))
+        return replace(open_dataset(path), name="prediction of the twin")
 
 
 def _of_one_curve(panel: Panel) -> Panel:

@@ -12,9 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
+from goniotwin.app.campaign.planning.exposure import exposure_twin
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import NO_SAMPLE, CommittedRow, Reading, Row, RowData
 from goniotwin.app.campaign.running.rows import RowExecutor
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig.alignment import aligned_model, parse_alignment
 from goniotwin.arrays import Counts
 from goniotwin.drivers import AxisDescription, AxisSettings
 from goniotwin.twin.plant import Plant, TwinModel
@@ -30,9 +33,9 @@ MOUNT_S = 1.0
 """Duration of a mounting without wires."""
 
 
-def run_without_wires(plan: Plan, path: Path) -> None:
-    """Write the journal of a plan's campaign on its virtual rig, without any device."""
-    model = plan.rig.model()
+def run_without_wires(plan: Plan, path: Path, model: TwinModel | None = None) -> None:
+    """Write the journal of a plan's campaign, without any device; on its virtual rig, or on a model of one."""
+    model = plan.rig.model() if model is None else model
     assert model is not None
     with Journal.create(path, plan, software_versions(), durable=False) as journal:
         session, now = journal.begin_session(0.0, plan.rig.text, software_versions()), 0.0
@@ -40,6 +43,22 @@ def run_without_wires(plan: Plan, path: Path) -> None:
             journal.commit(each.row, each.data)
             now = each.data.ended_s
         journal.end_session(session, now, "done")
+
+
+def expected_model(plan: Plan) -> TwinModel:
+    """The virtual rig of a plan as its files describe it, with noise of its own. It is off by what an alignment has found.
+
+    Raises UserError where there is none whose signal is computed quickly.
+    """
+    file = plan.schedule.file
+    if plan.rig.file.twin is None:
+        raise UserError("the rig file has no [twin] that describes the samples")
+    model = exposure_twin(plan.rig, file)
+    if model is None:
+        raise UserError("the twin of the rig file traces rays, which takes too long")
+    if plan.rig.alignment is not None:
+        model = aligned_model(model, parse_alignment(plan.rig.alignment, plan.rig.name))
+    return replace(model, seed=model.seed + 1, electronics=replace(model.electronics, gain_spread=0.0))
 
 
 def rows_without_wires(plan: Plan, model: TwinModel) -> Iterator[CommittedRow]:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from goniotwin.app.desktop.model.readings import BenchReadings as BenchReadings
     from goniotwin.app.desktop.model.readings import current_text as current_text
     from goniotwin.app.desktop.model.readings import trend_text as trend_text
+    from goniotwin.app.desktop.model.results import PREDICTION as PREDICTION
     from goniotwin.app.desktop.model.results import THEORY as THEORY
     from goniotwin.app.desktop.model.results import Answered as Answered
     from goniotwin.app.desktop.model.results import Checked as Checked

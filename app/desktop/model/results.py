@@ -20,6 +20,7 @@ from goniotwin.app.campaign.studies.verification import Verdict, verify_journal
 from goniotwin.app.data.comparison import THEORY as THEORY
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.opening import open_in_parts
+from goniotwin.app.data.results import PREDICTION as PREDICTION
 from goniotwin.app.data.results import Light as Light
 from goniotwin.app.data.results import Results, Shown
 from goniotwin.app.data.results import View as View
@@ -199,7 +200,7 @@ class _Work:
         steps, self.steps = self.steps, None  # none are left after an error
         if (found := next(steps, None)) is None:
             return None
-        self._results, self.steps = Results(found), steps
+        self._results, self.steps = Results(found, self._path), steps
         notes, journal = (*found.findings, *found.notes), found.origin == "journal"
         whole = not journal or found.reduced is not None
         about = f"{found.origin}, {found.size} values{'' if whole else ' so far; the others are being read …'}"

@@ -7,9 +7,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from goniotwin.app.campaign.planning.exposure import exposure_twin
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.rehearsal.without_wires import rows_without_wires
+from goniotwin.app.campaign.rehearsal.without_wires import expected_model, rows_without_wires
 from goniotwin.app.campaign.row import NO_SAMPLE, CommittedRow
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule
@@ -17,9 +16,7 @@ from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData, ScanKey, S
 from goniotwin.app.desktop.model.watch import RunWatch
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, parse_rig
-from goniotwin.app.rig.alignment import aligned_model, parse_alignment
 from goniotwin.protocols.clock import RealClock
-from goniotwin.twin.plant import TwinModel
 
 SCAN_EVERY_S = 0.1
 """Shortest time between two reductions of the scan in progress."""
@@ -313,22 +310,6 @@ def planned_directions(plan: Plan) -> dict[tuple[Setting, bool], int]:
             for transmitted, count in live.directions(row).items():
                 counts[scan_key(row)[0], transmitted] += count
     return dict(counts)
-
-
-def expected_model(plan: Plan) -> TwinModel:
-    """The virtual rig of a plan as its files describe it, with noise of its own. It is off by what an alignment has found.
-
-    Raises UserError where there is none whose signal is computed quickly.
-    """
-    file = plan.schedule.file
-    if plan.rig.file.twin is None:
-        raise UserError("the rig file has no [twin] that describes the samples")
-    model = exposure_twin(plan.rig, file)
-    if model is None:
-        raise UserError("the twin of the rig file traces rays, which takes too long")
-    if plan.rig.alignment is not None:
-        model = aligned_model(model, parse_alignment(plan.rig.alignment, plan.rig.name))
-    return replace(model, seed=model.seed + 1, electronics=replace(model.electronics, gain_spread=0.0))
 
 
 def predicted_scans(plan: Plan) -> Iterator[ScanData | None]:

@@ -38,7 +38,7 @@ PICTURES: "dict[Picture, str]" = {
 }
 AT_THE_CURSOR = ("cursor", "spectrum")
 """Pictures that follow the cursor."""
-COMPARISONS = ("Compare with …", "Theory of the virtual sample", "Another file …")
+COMPARISONS = ("Compare with …", "Theory of the virtual sample", "Prediction of the twin", "Another file …")
 SYMBOLS = {"sigma_deg": "σ", "psi_deg": "ψ"}
 AT_CURSOR = ("Value at the cursor", "Direction at the cursor", "Largest components of the uncertainty")
 NARROW, LOW = 640, 300
@@ -237,6 +237,11 @@ class ResultsScreen(Screen):
         self._show_texts()
         self.set_colours(self._colours)
 
+    def _show_about(self, more: str = "") -> None:
+        """Show what the file is, and what its checks are."""
+        checks = "" if self.checked is None else self.checked.summary
+        self.heading.setText("; ".join(filter(None, (self._about, checks, more))))
+
     def _show_buttons(self) -> None:
         """Allow what is possible with the file that is open."""
         for each in (self.check_button, self.export_button, self.report_button):
@@ -264,7 +269,7 @@ class ResultsScreen(Screen):
             self._show_values(answer.shown)
         elif isinstance(answer, model.Checked):
             self.checked = answer
-            self.heading.setText(f"{self._about}; {answer.summary}")
+            self._show_about()
             self._show_buttons()
             if self._asked:
                 self._asked = False
@@ -278,11 +283,12 @@ class ResultsScreen(Screen):
         self.lights = opened.lights
         self._is_journal = opened.journal and opened.whole
         self._about = f"{opened.name}: {opened.about}"
-        self.heading.setText(self._about)
+        self._show_about()
         self.heading.setToolTip("\n".join(opened.notes))
         self._mark.setVisible(opened.simulated)
-        theory = self.comparison.model().item(1)
-        theory.setEnabled(self._is_journal and opened.simulated)
+        entries = self.comparison.model()
+        for at in (1, 2):
+            entries.item(at).setEnabled(self._is_journal and opened.simulated)
         self._show_buttons()
         of, before = self.lights, self.wanted
         if before is None:
@@ -304,8 +310,9 @@ class ResultsScreen(Screen):
     def _choose_comparison(self, at: int) -> None:
         if self.wanted is None:
             return
-        if at < 2:
-            self._show(self.wanted._replace(other=model.THEORY if at else None))
+        if at < len(COMPARISONS) - 1:
+            self._show_about("comparing …" if at else "")
+            self._show(self.wanted._replace(other=(None, model.THEORY, model.PREDICTION)[at]))
             return
 
         def chosen(path: Path) -> None:
@@ -345,8 +352,8 @@ class ResultsScreen(Screen):
         before, self.shown = self.shown, shown
         if self._is_error:
             self._is_error = False
-            self.heading.setText(self._about)
             self.set_colours(self._colours)
+        self._show_about()
         for each in self.pictures:
             each.show_values(shown)
         beside = self.plots.widget(1)

@@ -12,7 +12,7 @@ from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.data.comparison import THEORY, compare, theory
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.opening import LONG_ROWS, open_in_parts
-from goniotwin.app.data.results import Results, View
+from goniotwin.app.data.results import PREDICTION, Results, View
 from goniotwin.app.figures.hemisphere import EDGE_DEG, PIXELS
 from goniotwin.app.rig import read_rig
 from tests.app.campaign.reduction.long_journal import write_long_journal
@@ -26,11 +26,16 @@ HEMISPHERE = (
 
 
 @pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+def journal(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A hemisphere at three wavelengths."""
     path = tmp_path_factory.mktemp("results") / "hemisphere.journal"
     run_without_wires(make_plan(parse_schedule(HEMISPHERE, "hemisphere.toml"), read_rig(RIG)), path)
-    return goniotwin.open(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def dataset(journal: Path) -> Dataset:
+    return goniotwin.open(journal)
 
 
 def test_a_plane_through_the_cursor_has_the_directions_of_that_azimuth_on_both_sides(dataset: Dataset) -> None:
@@ -65,7 +70,7 @@ def test_the_spectrum_at_the_cursor_has_the_values_of_its_direction(dataset: Dat
     assert "no spectrum" in single.show(View(single.lights[0], "spectrum")).missing
 
 
-def test_a_comparison_has_the_deviations_that_compare_gives(dataset: Dataset, tmp_path: Path) -> None:
+def test_a_comparison_has_the_deviations_that_compare_gives(dataset: Dataset, journal: Path, tmp_path: Path) -> None:
     results = Results(dataset)
     light = results.lights[1]
     here = dataset.select(wavelength_nm=550.0)
@@ -80,6 +85,11 @@ def test_a_comparison_has_the_deviations_that_compare_gives(dataset: Dataset, tm
     assert shown.residual is not None
     drawn = np.concatenate([each.y for each in shown.residual.series])
     np.testing.assert_array_equal(np.sort(drawn), np.sort(shown.compared[2, shown.plane]))
+    predicted = Results(dataset, journal).show(View(light, other=PREDICTION))
+    assert predicted.compared is not None
+    assert np.isfinite(predicted.compared[2]).sum() > 100
+    assert np.nanmean(predicted.compared[2] ** 2) < 2.0
+    assert np.nanmax(np.abs(predicted.compared[2])) > 0.05  # of another noise
     here.save(tmp_path / "same.csv")
     same = results.show(View(light, other=tmp_path / "same.csv"))
     assert same.compared is not None

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
-from goniotwin.app.campaign.rehearsal.without_wires import rows_without_wires
+from goniotwin.app.campaign.rehearsal.without_wires import expected_model, rows_without_wires
 from goniotwin.app.campaign.running.events import RowCommitted
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData, ScanPoints
 from goniotwin.app.desktop.model.run_points import PLANE_HALF_WIDTH_DEG, RunPoints, match
-from goniotwin.app.desktop.model.values import PlanTexts, RunValues, expected_model, planned_directions, predicted_scans
+from goniotwin.app.desktop.model.values import PlanTexts, RunValues, planned_directions, predicted_scans
 from goniotwin.app.errors import UserError
 from goniotwin.app.figures.curves import gaps_of
 from goniotwin.app.rig import read_rig
