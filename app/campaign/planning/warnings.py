@@ -47,6 +47,7 @@ def plan_warnings(plan: NewPlan, arcs: list[ArcDirections]) -> list[str]:
         *scan_notes(plan.schedule.file, plan.rig.file),
         *_second_order(plan),
         *_uncertain_duration(plan),
+        *_beyond_longest(plan),
         *plan.rig.alignment_notes,
     ]
 
@@ -226,6 +227,16 @@ def _uncertain_duration(plan: NewPlan) -> Iterator[str]:
         yield (
             f"the duration is an estimate, about {duration_text(shortest)} to {duration_text(longest)}: it depends on "
             f"{' and '.join(unknown)}. {_basis(plan)}A rehearsal is more accurate"
+        )
+
+
+def _beyond_longest(plan: NewPlan) -> Iterator[str]:
+    """A warning if the estimated duration is longer than the machine time that `[target]` allows."""
+    target = plan.schedule.file.target
+    if target is not None and target.longest_h is not None and plan.seconds > (longest_s := 3600.0 * target.longest_h):
+        yield (
+            f"the estimated duration of {duration_text(plan.seconds)} is {duration_text(plan.seconds - longest_s)} more than "
+            f"[target] longest_h = {target.longest_h:g}. Take coarser grids, or fewer readings"
         )
 
 

@@ -19,7 +19,12 @@ from goniotwin.app.campaign.reduction.components import COVERAGE
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.studies.checks import CheckResults, ConsistencyChecks
-from goniotwin.app.campaign.studies.decades import UncertaintyByDecade, UncertaintySummary, relative_uncertainty
+from goniotwin.app.campaign.studies.decades import (
+    TargetInDecade,
+    UncertaintyByDecade,
+    UncertaintySummary,
+    relative_uncertainty,
+)
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.theory import deviations_in_u, true_bsdf
 from goniotwin.app.errors import UserError
@@ -97,7 +102,8 @@ class UncertaintySpread:
 class Forecast:
     """`spread` and `tallies` by sample; `trouble` is the reason why there are none.
 
-    `unchecked` are, by the mounted sample, the photodiodes that its drift checks do not cover.
+    `unchecked` are, by the mounted sample, the photodiodes that its drift checks do not cover. `target` are the values of each
+    sample against the schedule's `[target]`; empty without a target of u.
     """
 
     spread: dict[str, SpreadSummary]
@@ -105,6 +111,7 @@ class Forecast:
     trouble: str = ""
     tallies: dict[str, Tally] = field(default_factory=dict)
     unchecked: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    target: dict[str, list[TargetInDecade]] = field(default_factory=dict)
 
 
 def forecast(
@@ -137,7 +144,7 @@ def forecast(
                 stream = PointStream([*about, *COMMENTS], itertools.chain([first], parts))
                 format_for(points, {Holds.COLUMNS}).write(points, stream)
             tallies = {name: each.tally for name, each in spreads.items()}
-            unchecked = reduction.unchecked(tallies)
+            unchecked, target = reduction.unchecked(tallies), reduction.schedule.target
     except FormatError:
         raise
     except UserError as error:
@@ -148,7 +155,8 @@ def forecast(
     if points is not None and not spreads:
         raise UserError(f"{points}: no sample has a value, so there is nothing to write")
     spread = {name: each.summary() for name, each in spreads.items()}
-    return Forecast(spread, check_results, tallies=tallies, unchecked=unchecked)
+    asked = {} if target is None or target.relative_u is None else {k: v.known.against(target) for k, v in spreads.items()}
+    return Forecast(spread, check_results, tallies=tallies, unchecked=unchecked, target=asked)
 
 
 def _parts(

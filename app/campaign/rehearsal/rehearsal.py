@@ -18,13 +18,14 @@ from goniotwin.app.campaign.rehearsal.blocks import OTHER_TIMES, divide, run_blo
 from goniotwin.app.campaign.rehearsal.expected_poses import expected_poses
 from goniotwin.app.campaign.rehearsal.forecast import SpreadSummary, forecast
 from goniotwin.app.campaign.rehearsal.row_statistics import MountingBlock, RowStatistics
-from goniotwin.app.campaign.rehearsal.warnings import rehearsal_warnings, value_warnings
+from goniotwin.app.campaign.rehearsal.warnings import rehearsal_warnings, target_warnings, value_warnings
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Listener, State
 from goniotwin.app.campaign.running.operator import VirtualOperator
 from goniotwin.app.campaign.running.resume import RemainingWork, remaining_work
 from goniotwin.app.campaign.schedule.file import ScheduleDescription
 from goniotwin.app.campaign.studies.checks import CheckResults
+from goniotwin.app.campaign.studies.decades import TargetInDecade
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, open_rig
 from goniotwin.app.rig.described_twin import described_twin
@@ -46,7 +47,8 @@ class RehearsalResult:
 
     `foretold_s` is the duration of the plan, `duration_s` that of the run; `sessions` are more than one where the schedule's
     [stop] ended it. `saturated` is the number of values that are so at every gain. `checks` and `relative_uncertainty` are of
-    the journal, `assumed` states what was assumed of the rig.
+    the journal, and `target` compares them with the schedule's [target], by sample; it is empty without a target of u.
+    `assumed` states what was assumed of the rig.
     """
 
     simulated: bool
@@ -63,6 +65,7 @@ class RehearsalResult:
     saturated: int
     checks: CheckResults
     relative_uncertainty: dict[str, SpreadSummary]
+    target: dict[str, list[TargetInDecade]]
     lamp_hours: float
     journal_bytes: int
     warnings: list[str]
@@ -151,6 +154,7 @@ def rehearse(
             )
         warnings += predicted.check_results.alarms
         warnings += value_warnings(plan.schedule.file, predicted.tallies, predicted.unchecked) if not predicted.trouble else []
+        warnings += target_warnings(plan.schedule.file, predicted.target)
         result = RehearsalResult(
             simulated=True,
             state="stopped" if run.state is State.IDLE else str(run.state),
@@ -169,6 +173,7 @@ def rehearse(
             saturated=statistics.saturated,
             checks=predicted.check_results,
             relative_uncertainty=predicted.spread,
+            target=predicted.target,
             lamp_hours=run.seconds / 3600.0,
             journal_bytes=path.stat().st_size,
             warnings=warnings,

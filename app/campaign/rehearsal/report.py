@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from goniotwin.app.campaign.rehearsal.forecast import SpreadSummary
 from goniotwin.app.campaign.rehearsal.rehearsal import Rehearsal, RehearsalResult
-from goniotwin.app.campaign.studies.decades import uncertainty_texts
+from goniotwin.app.campaign.studies.decades import percent, target_texts, uncertainty_texts
 from goniotwin.app.campaign.wording import duration_text
 
 UNITS = ("bytes", "kB", "MB", "GB")
@@ -26,6 +26,7 @@ def report_text(rehearsal: Rehearsal) -> str:
             for name, spread in result.relative_uncertainty.items()
             for first, each in _spread(name, spread)
         ),
+        *_target(rehearsal),
         *(f"  check       {each}" for each in result.checks.lines),
         f"  lamp        {result.lamp_hours:.2f} h",
         f"  journal     {_size(result.journal_bytes)}",
@@ -60,6 +61,15 @@ def _spread(name: str, spread: SpreadSummary) -> Iterator[tuple[bool, str]]:
             f"{spread.to_a_tenth} with u below 10 %{_distance(spread)}"
         ),
     )
+
+
+def _target(rehearsal: Rehearsal) -> Iterator[str]:
+    """The lines about the schedule's target of u: by sample, its values in each decade of the peak that is asked about."""
+    target = rehearsal.plan.schedule.file.target
+    if target is not None and target.relative_u is not None:
+        for name, found in rehearsal.result.target.items():
+            texts = "; ".join(target_texts(found)) or "no value"
+            yield f"  target      {name}: u (k = 1) of at most {percent(target.relative_u)}: {texts}"
 
 
 def _distance(spread: SpreadSummary) -> str:

@@ -18,6 +18,7 @@ from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
 from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
+from goniotwin.app.campaign.studies.decades import TargetInDecade, percent
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument, Scatterer, arc_direction, evaluate, light_direction, luminance_factor
 from goniotwin.twin.optics.bsdf.kinds import REGULAR
@@ -166,6 +167,21 @@ def value_warnings(file: ScheduleFile, tallies: Mapping[str, Tally], unchecked: 
         yield (
             f"{unchecked_note(name, photodiodes)}. Choose a [drift] pose at which more of them have light, or measure the "
             "etalon once more as the last sample, under another name. Its values must be those of the certificate"
+        )
+
+
+def target_warnings(file: ScheduleFile, found: Mapping[str, list[TargetInDecade]]) -> Iterator[str]:
+    """A warning for each sample that misses the schedule's target of u in a decade of the peak, or has no value there."""
+    for name, decades in found.items():
+        if decades and all(each.met for each in decades):
+            continue
+        assert file.target is not None
+        assert file.target.relative_u is not None
+        values, within = sum(each.values for each in decades), sum(each.within for each in decades)
+        yield (
+            f"{name} misses [target] relative_u = {file.target.relative_u:g}: {within} of {values} values from "
+            f"{percent(file.target.above_peak_share)} of the peak on reach it. Take more readings, a smaller [averaging] "
+            "relative_uncertainty or a higher gain, or ask for less"
         )
 
 

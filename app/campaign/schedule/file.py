@@ -205,6 +205,19 @@ class StopTable(TomlTable):
     lamp_below: PositiveFraction | None = None
 
 
+class TargetTable(TomlTable):
+    """`[target]`: what is asked of the campaign. `check` and `rehearse` warn where they predict something worse.
+
+    `relative_u` is the largest relative standard uncertainty u (k = 1, not the expanded U) of the values that are at least the
+    share `above_peak_share` of their peak. The peak is the largest value at a wavelength, sigma, gamma and side. `longest_h` is
+    the longest machine time in hours, without the time to mount samples.
+    """
+
+    relative_u: PositiveFraction | None = None
+    above_peak_share: PositiveFraction = 0.01
+    longest_h: PositiveFloat | None = None
+
+
 class FaultsTable(TomlTable):
     """`[faults]`: what happens to a row where a device fails, by the kind of fault; without this table the defaults apply.
 
@@ -239,7 +252,8 @@ class ScheduleFile(TomlTable):
     `order` is the order of the loops, and with `back_and_forth` a loop may turn round at its end. `gains_v_per_a` are the gains
     of each row, or "automatic". `readings` is their number at each gain, `dark_readings` that of a dark reading, which is no
     older than `dark_every_s`. `averaging` takes more readings in faint light. `warm_up` waits for the lamp. `drift` measures
-    one pose again and again. `stop` ends a run before its last row. `faults` is what happens to a row where a device fails.
+    one pose again and again. `target` is the uncertainty and the machine time that are asked for. `stop` ends a run before its
+    last row. `faults` is what happens to a row where a device fails.
     `certificate` is the etalon's. `align` is a sample with a narrow lobe by which the campaign is aligned: all values are
     corrected for the rig's misalignments as that lobe shows them. `diattenuation` is, by sample, how far the values for light
     of the sample's s and of its p are apart, over their sum: with it the polarisation of the light is in the uncertainty.
@@ -273,6 +287,7 @@ class ScheduleFile(TomlTable):
     averaging: AveragingTable | None = None
     warm_up: WarmUpTable | None = None
     drift: DriftTable | None = None
+    target: TargetTable | None = None
     stop: StopTable | None = None
     faults: FaultsTable | None = None
     certificate: CertificateTable | None = None

@@ -10,6 +10,7 @@ from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors, clear_of_
 from goniotwin.app.campaign.planning.check import check_plan, describe_check
 from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
+from goniotwin.app.campaign.wording import duration_text
 from goniotwin.app.rig import nominal_instrument, read_rig
 from goniotwin.twin.optics import arc_direction, visible_fraction
 from tests.app.campaign.planning.planner_bench import HEAD, LARGE, time_checks
@@ -78,6 +79,16 @@ def test_an_estimated_duration_is_reported_with_its_range() -> None:
     assert any("the duration is an estimate" in warning for warning in result.warnings)
     exact = check_plan(planned("sigma_deg = [30]\nbeta_deg = [0, 90]\n"))
     assert exact.duration_range_s == (exact.duration_s, exact.duration_s)
+
+
+def test_check_warns_of_a_duration_beyond_the_target() -> None:
+    grids = "sigma_deg = [30]\nbeta_deg = [0, 90]\nshift_deg = [0, 1]\n"
+    plan = planned(grids)
+    hours = plan.seconds / 3600.0
+    for longest_h, too_long in ((1.01 * hours, False), (0.5 * hours, True)):
+        warnings = check_plan(planned(f"{grids}[target]\nlongest_h = {longest_h}\n")).warnings
+        assert any("more than [target] longest_h = " in each for each in warnings) is too_long
+    assert any(f"is {duration_text(0.5 * plan.seconds)} more than" in each for each in warnings)
 
 
 def test_check_warns_of_open_beam_old_dark_readings_and_second_order() -> None:

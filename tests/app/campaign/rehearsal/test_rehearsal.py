@@ -22,7 +22,7 @@ from goniotwin.app.formats import read_points_csv
 from goniotwin.app.json_document import json_text
 from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.lock import RigLock
-from tests.conftest import Change, Writer
+from tests.conftest import SMALL, Change, Writer
 
 REAL = tuple(
     (f"twin://virtual/{name}", address)
@@ -133,6 +133,30 @@ def test_the_result_is_json_and_marked_as_simulated(small: Rehearsal) -> None:
     assert result["state"] == "done"
     assert {"blocks", "counts", "saturated", "lamp_hours", "journal_bytes", "warnings", "assumed"} <= set(result)
     assert report_text(small).startswith("SIMULATED")
+
+
+def test_a_target_is_compared_with_the_predicted_u_of_each_decade(write_rig: Writer, tmp_path: Path) -> None:
+    """The peak of the lobe of 5 deg is known to 0.4 %; on its flank an angle that is off by 0.1 deg makes 3 %."""
+    schedule, rig = tmp_path / "target.toml", write_rig()
+    found = {}
+    for relative_u, share in ((0.01, 0.97), (0.001, 0.001)):
+        target = f"[target]\nrelative_u = {relative_u}\nabove_peak_share = {share}\n"
+        schedule.write_text(f"{SMALL}\n{target}", encoding="utf-8")
+        found[relative_u] = run_rehearsal(schedule, rig)
+    met, missed = found[0.01], found[0.001]
+    assert [each.met for each in met.result.target["gaussian-5"]] == [True]
+    assert "  target      gaussian-5: u (k = 1) of at most 1 %: to 1e-1 of the peak: " in report_text(met)
+    assert not warnings_with(met, "[target]")
+    decades = missed.result.target["gaussian-5"]
+    assert sum(each.within for each in decades) < sum(each.values for each in decades)
+    assert warnings_with(missed, "gaussian-5 misses [target] relative_u = 0.001: ")
+    assert json.loads(json_text(missed.result))["target"]["gaussian-5"][0]["met"] is False
+    assert missed.done
+
+
+def test_without_a_target_nothing_is_said_about_it(small: Rehearsal) -> None:
+    assert small.result.target == {}
+    assert "  target  " not in report_text(small)
 
 
 def test_no_port_and_no_lock_of_a_real_rig_is_used(

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.studies.decades import UncertaintyByDecade, uncertainty_texts
+from goniotwin.app.campaign.schedule.file import TargetTable
+from goniotwin.app.campaign.studies.decades import TargetInDecade, UncertaintyByDecade, target_texts, uncertainty_texts
 from goniotwin.arrays import Floats
 from tests.app.campaign.reduction.made_points import made_points
 
@@ -45,3 +46,23 @@ def test_without_a_value_above_zero_there_is_nothing_to_state() -> None:
     found.add(points)
     assert np.isnan(found.summary().p50)
     assert uncertainty_texts(found.summary()) == []
+
+
+def test_a_target_counts_the_values_above_its_share_of_the_peak_in_each_decade() -> None:
+    """Twenty values a decade with u = 1e-3 of the peak: u over the value is at most 1 % down to a tenth of the peak."""
+    below: Floats = 10.0 ** (-(np.arange(140, dtype=np.float64) + 0.5) / 20.0)
+    below[0] = 1.0
+    found = UncertaintyByDecade()
+    found.add(made_points(10.0, np.linspace(0.0, 89.0, below.size), np.full(below.size, 180.0), below, U))
+    # Ten values from 1e-1 on to 10**-1.5, of which none reaches 1 %, and a u of 2 % is reached down to 0.05 of the peak.
+    asked = TargetTable(relative_u=0.01, above_peak_share=10.0**-1.5)
+    assert found.against(asked) == [
+        TargetInDecade("1e+0 to 1e-1", 20, 20, True),
+        TargetInDecade("1e-1 to 1e-2", 10, 0, False),
+    ]
+    assert [each.within for each in found.against(TargetTable(relative_u=0.02))] == [20, int(np.sum(below[20:] >= 0.05))]
+    assert target_texts(found.against(asked)) == [
+        "to 1e-1 of the peak: 20 of 20 values, met",
+        "to 1e-2 of the peak: 0 of 10 values, missed",
+    ]
+    assert found.against(None) == found.against(TargetTable(longest_h=1.0)) == []
