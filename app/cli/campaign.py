@@ -1,4 +1,4 @@
-"""Commands on campaigns: `goniotwin check`, `rehearse`, `prove`, `run` and `runs`."""
+"""Commands on campaigns: `goniotwin new`, `check`, `rehearse`, `prove`, `run` and `runs`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,6 +13,54 @@ Schedule = Annotated[Path, typer.Argument(metavar="SCHEDULE.toml", help="Schedul
 
 
 app = typer.Typer()
+
+
+@app.command()
+def new(
+    schedule: Annotated[
+        Path | None, typer.Argument(metavar="FILE.toml", help="Schedule file to create.", show_default=False)
+    ] = None,
+    rig: Annotated[Path | None, typer.Option("--rig", metavar="RIG.toml", help="Rig file.", show_default=False)] = None,
+    template: Annotated[
+        str | None,
+        typer.Option(
+            "--template",
+            metavar="NAME",
+            help="What to measure: 45:0, aspecular, plane, isotropic, anisotropic, transmitted or gloss.",
+            show_default=False,
+        ),
+    ] = None,
+    sample: Annotated[
+        str | None, typer.Option("--sample", metavar="NAME", help="Name of the sample.", show_default=False)
+    ] = None,
+    etalon: Annotated[str, typer.Option("--etalon", metavar="NAME", help="Name of the reference standard.")] = "etalon",
+    target_u: Annotated[
+        float | None,
+        typer.Option(
+            "--target-u",
+            metavar="U",
+            help="Relative standard uncertainty (k = 1) that you ask for: 0.01 is 1 %.",
+            show_default=False,
+        ),
+    ] = None,
+    longest_h: Annotated[
+        float | None,
+        typer.Option("--longest-h", metavar="H", help="Longest machine time, in hours.", show_default=False),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Create a schedule from a template.
+
+    In a terminal the command asks for what you leave out. It chooses the finest steps with which the estimated duration is
+    within the longest time. A direction that the rig does not reach is replaced by the nearest one, with a note. At the end
+    the command prints the next commands. An existing file is kept, unless you confirm or give --force.
+
+    Exit status: 0 if the schedule is written, else 2.
+    """
+    from goniotwin.app.cli.work.new import new_schedule
+
+    new_schedule(schedule, rig, template, sample, etalon, target_u, longest_h, force, as_json)
 
 
 @app.command()

@@ -39,6 +39,7 @@ COMMANDS = (
     "move",
     "read",
     "verify-device",
+    "new",
     "check",
     "rehearse",
     "prove",

@@ -180,8 +180,8 @@ def target_warnings(file: ScheduleFile, found: Mapping[str, list[TargetInDecade]
         values, within = sum(each.values for each in decades), sum(each.within for each in decades)
         yield (
             f"{name} misses [target] relative_u = {file.target.relative_u:g}: {within} of {values} values from "
-            f"{percent(file.target.above_peak_share)} of the peak on reach it. Take more readings, a smaller [averaging] "
-            "relative_uncertainty or a higher gain, or ask for less"
+            f"{percent(file.target.above_peak_share)} of the peak on reach it. Against noise, take more readings, a smaller "
+            "[averaging] relative_uncertainty or a higher gain. goniotwin budget shows the other components"
         )
 
 

@@ -109,7 +109,7 @@ def literal(value: object, like: str = "") -> str:
     return str(value)  # a date
 
 
-def _number_text(value: float, like: str) -> str:
+def _number_text(value: int | float, like: str) -> str:
     """A number as short as it can be written, with an exponent or decimals where `like` has them."""
     number = Decimal(repr(value)).normalize()
     plain = format(number, "f")
