@@ -34,6 +34,11 @@ class CloseQuestion(QObject):
         self._unattended = False
         self._order: SafetyOrder | None = None
 
+    @property
+    def unattended(self) -> bool:
+        """Whether the window closes without a question."""
+        return self._unattended
+
     def allows(self, orders: "Sequence[SafetyOrder]", *, busy: bool) -> bool:
         """Whether the window may close now; else there is a question. Asked again beside that of a run, the run goes on."""
         asked = self.box is not None and self.box.isVisible()

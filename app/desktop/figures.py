@@ -100,6 +100,8 @@ class PanelItems:
     """The items of a panel in a plot; the axes of values have the transform of its scale."""
 
     def __init__(self, plot: pg.PlotItem, palette: Palette) -> None:
+        self.mark_share = 1.0
+        """Size of the marks over that of their style."""
         self._plot = plot
         self._palette = palette
         self._panel = Panel()
@@ -166,8 +168,10 @@ class PanelItems:
             edge = (
                 pg.mkPen(self._palette.base, width=0.5) if style.filled else pg.mkPen(colour, width=PIXELS_A_POINT * OPEN_WIDTH)
             )
-            item.setPen(pg.mkPen(None) if style.symbol == "dot" else edge)
+            bare = style.symbol == "dot" or (style.filled and self.mark_share < 1.0)
+            item.setPen(pg.mkPen(None) if bare else edge)
             item.setBrush(pg.mkBrush(colour if style.filled else None))
+        item.setSize(self.mark_share * PIXELS_A_POINT * style.size)
         x, y = (np.concatenate([np.empty(0), *(getattr(each, name) for each in several)]) for name in ("x", "y"))
         item.setData(x, scale.transform(y))
         if self._panel.projection == "disc" and not style.filled:  # to be seen on any colour of the map

@@ -100,6 +100,7 @@ class Presenter(QObject):
         self.journal: Path | None = None
         self._view = view
         self._no_plan = ""
+        self._unsaved = ""
         self._opening = True
         self._starting = False
         self._pausing = False
@@ -140,8 +141,8 @@ class Presenter(QObject):
         found = permissions(
             self.station,
             self.name,
-            self.plan,
-            self._no_plan,
+            None if self._unsaved else self.plan,
+            self._no_plan or self._unsaved,
             self.state,
             opening=self._opening,
             lost=self._lost,
@@ -163,6 +164,13 @@ class Presenter(QObject):
         self._view.notice.clear()
         self._view.show_status(f"Connecting the devices of {path} …")
         self.changed.emit()
+
+    @Slot(str)
+    def set_unsaved(self, reason: str) -> None:
+        """Take why the schedule on the screen cannot be started: it differs from its file. Empty where it does not."""
+        if reason != self._unsaved:
+            self._unsaved = reason
+            self.changed.emit()
 
     def show_starting(self) -> None:
         """Show that a run is being started; at once, so that Start is disabled for a second click."""

@@ -26,6 +26,7 @@ from goniotwin.app.desktop.menu import Menus, about_text, keys_text
 from goniotwin.app.desktop.operator_question import OperatorQuestion
 from goniotwin.app.desktop.remembered import Remembered
 from goniotwin.app.desktop.run.screen import RunScreen
+from goniotwin.app.desktop.setup.screen import SetupScreen
 from goniotwin.app.desktop.theme import Scheme, Theme
 from goniotwin.app.desktop.view import MainView
 
@@ -200,6 +201,10 @@ class MainWindow(QMainWindow):
         self.close_question.stop_wanted.connect(self._stop_to_close)
         self.close_question.acknowledge_wanted.connect(self.view.orders.acknowledge)
 
+        setup = self.view.screen_of(SetupScreen)
+        setup.saved.connect(self._open_schedule)
+        setup.unsaved_changed.connect(self.presenter.set_unsaved)
+        setup.reported.connect(self._show_report)
         campaigns = self.view.screen_of(CampaignsScreen)
         self.campaigns_listed.connect(self._show_campaigns, Qt.ConnectionType.QueuedConnection)
         campaigns.refresh_wanted.connect(self._list_campaigns)
@@ -390,8 +395,11 @@ class MainWindow(QMainWindow):
 
     @Slot(object)
     def _open_schedule(self, path: Path) -> None:
-        self.files.remember("schedule", path)
-        self.connection.load(path)
+        def opened() -> None:
+            self.files.remember("schedule", path)
+            self.connection.load(path)
+
+        self.view.screen_of(SetupScreen).leave(opened)
 
     @Slot(object)
     def _take_folder(self, folder: Path) -> None:
@@ -427,6 +435,11 @@ class MainWindow(QMainWindow):
     def closeEvent(self, event: QCloseEvent) -> None:
         """Ask during a run, which may go on, and wait for the acknowledgement of every safety order; then leave the station."""
         self._remember_layout()
+        setup = self.view.screen_of(SetupScreen)
+        if not self._closed and setup.unsaved and not self.close_question.unattended:
+            event.ignore()
+            setup.leave(self.close)
+            return
         if not self._closed and not self.close_question.allows(self.view.orders.orders, busy=self._busy):
             event.ignore()
             return

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -404,6 +404,15 @@ class ScheduleDescription:
 def read_schedule(path: Path) -> ScheduleDescription:
     """Read a schedule file, and the certificate that it names. Raises UserError: file, key, reason; and if one has expired."""
     text, content = read_toml(path)
+    return _described(text, content, path)
+
+
+def schedule_at(text: str, path: Path) -> ScheduleDescription:
+    """The schedule that a text is as the file at a path, which has another text or none yet. Raises as `read_schedule`."""
+    return _described(text, parse_toml(text, str(path)), path)
+
+
+def _described(text: str, content: dict[str, Any], path: Path) -> ScheduleDescription:
     if "axes" in content and "sigma_deg" not in content:
         raise UserError(f"{path}: looks like a rig file, not like a schedule; open it as a rig")
     file = validate_table(ScheduleFile, content, str(path))

@@ -18,8 +18,7 @@ from PySide6.QtWidgets import (
 
 from goniotwin.app.campaign.wording import rounded_duration_text
 from goniotwin.app.desktop import model
-from goniotwin.app.desktop.dialogs import FileDialog
-from goniotwin.app.desktop.events.question import Choice, QuestionBox
+from goniotwin.app.desktop.events.question import ask_file
 from goniotwin.app.desktop.screen import Screen, WithoutPreferredHeight
 from goniotwin.app.desktop.theme import Colours
 
@@ -29,7 +28,6 @@ if TYPE_CHECKING:  # the window shows itself before the engine is loaded
 COLUMNS = ("campaign", "state", "rows", "left", "begun", "kind", "file")
 MARKS = {"done": "✓", "running": "▶", "failed": "✗", "killed": "✗", "stopped": "■", "empty": "○"}
 """A mark of each state beside its word, for eyes that do not see the colours."""
-REPLACE, CANCEL = "Replace", "Cancel"
 LONGEST_NAME = 240
 """Widest column in logical pixels; the whole text is below the table, and in the tool tip."""
 EXPORTS = "Measured points (*.csv);;Table (*.ddr);;Archive (*.h5)"
@@ -225,24 +223,7 @@ class CampaignsScreen(Screen):
     def _ask_out(self, title: str, first: Path, kinds: str, command: str, journal: Path) -> None:
         """Ask for the file of a command, and before one is replaced."""
 
-        def chosen(out: Path) -> None:
-            if not out.exists():
-                self.run_command(command, journal, out)
-                return
-            choices = [
-                Choice(REPLACE, "Its content is lost"),
-                Choice(CANCEL, "Nothing is written", default=True),
-            ]
-            box = QuestionBox(self.window(), f"Replace {out.name}?", f"There is a file {out}.", choices)
-
-            def answered(label: str) -> None:
-                box.dismiss()
-                if label == REPLACE:
-                    self.run_command(command, journal, out)
-
-            box.chosen.connect(answered)
-
-        FileDialog(self.window(), title, first, kinds, chosen, save=True)
+        ask_file(self.window(), title, first, kinds, lambda out: self.run_command(command, journal, out))
 
     def run_command(self, command: str, journal: Path, out: Path) -> None:
         """Run `goniotwin COMMAND JOURNAL --out FILE` in a process of its own: its status is what it wrote, and warnings."""

@@ -1,10 +1,13 @@
 """A question to the operator, in a window of its own that blocks nothing: Stop stays within reach."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from PySide6.QtCore import Qt, Signal, Slot
 from PySide6.QtWidgets import QApplication, QDialog, QGridLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+
+from goniotwin.app.desktop.dialogs import FileDialog
 
 WIDTH = 540
 
@@ -153,3 +156,32 @@ class QuestionBox(QDialog):
         button = self.sender()
         assert isinstance(button, QPushButton)
         self.chosen.emit(button.text())
+
+
+REPLACE, CANCEL = "Replace", "Cancel"
+
+
+def ask_to_replace(parent: QWidget, title: str, text: str, replace: Callable[[], object], verb: str = REPLACE) -> QuestionBox:
+    """Ask before something is lost, and call `replace` after a yes, whose label is `verb`. Blocks nothing."""
+    choices = [Choice(verb, "The former content is lost"), Choice(CANCEL, "Nothing changes", default=True)]
+    box = QuestionBox(parent, title, text, choices)
+
+    def answered(label: str) -> None:
+        box.dismiss()
+        if label == verb:
+            replace()
+
+    box.chosen.connect(answered)
+    return box
+
+
+def ask_file(parent: QWidget, title: str, first: Path, kinds: str, chosen: Callable[[Path], object]) -> None:
+    """Ask for a file to write, and before one is replaced. Blocks nothing."""
+
+    def asked(out: Path) -> None:
+        if out.exists():
+            ask_to_replace(parent, f"Replace {out.name}?", f"There is a file {out}.", lambda: chosen(out))
+        else:
+            chosen(out)
+
+    FileDialog(parent, title, first, kinds, asked, save=True)

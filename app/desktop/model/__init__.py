@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from goniotwin.app.campaign.running.events import Positions as Positions
     from goniotwin.app.campaign.running.events import RowCommitted as RowCommitted
     from goniotwin.app.campaign.schedule.grids import grid_values as grid_values
+    from goniotwin.app.desktop.model.draft import map_title as map_title
     from goniotwin.app.desktop.model.instrument import InstrumentModel as InstrumentModel
     from goniotwin.app.desktop.model.instrument import pose_text as pose_text
     from goniotwin.app.desktop.model.instrument import project as project
@@ -55,6 +56,7 @@ if TYPE_CHECKING:
     from goniotwin.app.station.messages import DeviceChanged as DeviceChanged
     from goniotwin.app.station.messages import Message as Message
     from goniotwin.app.station.messages import RigClosed as RigClosed
+    from goniotwin.app.station.messages import RigOpened as RigOpened
     from goniotwin.app.station.messages import RunBegun as RunBegun
     from goniotwin.app.station.messages import Snapshot as Snapshot
     from goniotwin.app.station.messages import advance as advance

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Qt, Signal, Slot
-from PySide6.QtWidgets import QCheckBox, QGridLayout, QGroupBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QCheckBox, QGridLayout, QGroupBox, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from goniotwin.app.campaign.wording import rounded_duration_text
 from goniotwin.app.desktop.model.axes import GREEK
@@ -310,15 +310,15 @@ def show_path(label: QLabel, path: Path, before: str = "") -> None:
 
 
 def fill(box: QGroupBox, labels: list[QLabel], buttons: tuple[QPushButton, ...]) -> QVBoxLayout:
-    """Lay out labels, and buttons in a row below them."""
+    """Lay out labels, and buttons in rows of three below them."""
     layout = QVBoxLayout(box)
     layout.setSpacing(6)
     for label in labels:
         layout.addWidget(label)
-    row = QHBoxLayout()
-    for button in buttons:
-        row.addWidget(button)
-    layout.addLayout(row)
+    grid = QGridLayout()
+    for number, button in enumerate(buttons):
+        grid.addWidget(button, *divmod(number, 3))
+    layout.addLayout(grid)
     return layout
 
 

@@ -1,35 +1,54 @@
-"""The set-up screen: the schedule, what it measures, and the folder of data files (journals)."""
+"""The schedule screen: file and form at the left, its text in the middle, its directions at the right."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import Qt, Signal, Slot
-from PySide6.QtGui import QFontDatabase
+from PySide6.QtCore import QSize, Qt, QTimer, Signal, Slot
+from PySide6.QtGui import QColor, QFontDatabase, QKeySequence, QTextCursor
 from PySide6.QtWidgets import (
+    QComboBox,
     QFrame,
-    QGridLayout,
     QGroupBox,
     QHBoxLayout,
     QLabel,
     QPlainTextEdit,
     QPushButton,
     QScrollArea,
+    QSplitter,
+    QTextEdit,
     QVBoxLayout,
     QWidget,
 )
 
+from goniotwin import examples
 from goniotwin.app.campaign.wording import rounded_duration_text
 from goniotwin.app.desktop import model
-from goniotwin.app.desktop.model.axes import GREEK
+from goniotwin.app.desktop.events.question import ask_file, ask_to_replace
 from goniotwin.app.desktop.rig.panels import fill, heading, path_label, show_path
 from goniotwin.app.desktop.screen import Screen
+from goniotwin.app.desktop.setup.form import NewSchedule, ScheduleForm
 from goniotwin.app.desktop.theme import Colours
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats.file import write_file
 
-if TYPE_CHECKING:  # the window shows itself before the planner is loaded
+if TYPE_CHECKING:  # the window shows itself before planner and pyqtgraph are loaded
     from goniotwin.app.campaign.planning.plan import Plan
+    from goniotwin.app.desktop.model.draft import Drafted, DraftPlanner, TemplateChoice
+    from goniotwin.app.desktop.setup.preview import DirectionsView
+    from goniotwin.app.station.messages import RigOpened
 
-FEW = 6
-"""Values of a grid that are listed one by one."""
+UNSAVED = "the schedule has changes that are not saved: save it first (Ctrl+S)"
+NEW_NAME = "new.toml"
+EXAMPLES = examples.FOLDER
+"""What came with the program is not written to."""
+PAUSE_MS = 400
+"""Time without a key after which a text is planned."""
+SHARES = (38, 31, 31)
+"""Of the columns in the width, percent."""
+NARROW = 760
+"""Width of a room below which the directions are omitted."""
 
 
 class SchedulePanel(QGroupBox):
@@ -56,8 +75,18 @@ class SchedulePanel(QGroupBox):
         self.folder_button.setAccessibleName("Choose the folder for data files (journals)")
         self.open_button.clicked.connect(self.open)
         self.folder_button.clicked.connect(self.choose_folder)
+        self.new_button, self.save_button, self.copy_button = (QPushButton(each) for each in ("&New…", "Sa&ve", "Save &as…"))
+        for button, name in (
+            (self.new_button, "New schedule from a template"),
+            (self.save_button, "Save the schedule (Ctrl+S)"),
+            (self.copy_button, "Save the schedule as another file"),
+        ):
+            button.setAccessibleName(name)
+            button.setToolTip(name)
+        self.save_button.setShortcut(QKeySequence(QKeySequence.StandardKey.Save))
         self.buttons = (self.open_button, self.folder_button)
-        fill(self, [self._name, self._path, self._size, self._folder], self.buttons)
+        every = (self.new_button, self.open_button, self.save_button, self.copy_button, self.folder_button)
+        fill(self, [self._name, self._path, self._size, self._folder], every)
         self.set_plan(None)
 
     def set_plan(self, plan: "Plan | None") -> None:
@@ -70,109 +99,265 @@ class SchedulePanel(QGroupBox):
             self._size.setText(f"{len(plan.rows)} rows, estimated duration {rounded_duration_text(plan.seconds)}")
         self.plan_shown.emit(plan)
 
+    def set_unsaved(self, path: Path | None, *, unsaved: bool) -> None:
+        """Show whether the text differs from the file `path`, or has none yet."""
+        show_path(self._path, path or Path(NEW_NAME), "● not saved: " if unsaved else "")
+
     def set_folder(self, folder: Path) -> None:
         """Show the folder of data files."""
         show_path(self._folder, folder, "Data files (journals) in ")
         self.folder_shown.emit(folder)
 
 
-class ContentPanel(QGroupBox):
-    """What a schedule measures: its samples, grids and readings."""
-
-    def __init__(self) -> None:
-        super().__init__("What it measures")
-        self.setAccessibleName("What the schedule measures")
-        self._grid = QGridLayout(self)
-        self._grid.setColumnStretch(1, 1)
-        self._grid.setHorizontalSpacing(14)
-        self._grid.setVerticalSpacing(3)
-
-    def set_plan(self, plan: "Plan | None") -> None:
-        """Show what the schedule of a plan measures."""
-        while (item := self._grid.takeAt(0)) is not None:
-            if (widget := item.widget()) is not None:
-                widget.deleteLater()
-        for at, (name, value) in enumerate([] if plan is None else plan_contents(plan)):
-            shown = QLabel(value)
-            shown.setWordWrap(True)
-            shown.setTextFormat(Qt.TextFormat.PlainText)
-            shown.setAccessibleName(f"{name}: {value}")
-            self._grid.addWidget(QLabel(name), at, 0, Qt.AlignmentFlag.AlignTop)
-            self._grid.addWidget(shown, at, 1)
-        self.setVisible(plan is not None)
-
-
 class SetupScreen(Screen):
-    """The schedule at the left, its text at the right."""
+    """A schedule as form and text: what is typed in one is in the other. What is saved is what a run measures."""
 
     title = "Schedule"
     icon = "calendar-clock"
 
+    saved = Signal(object)
+    """The file that was saved, to be opened."""
+    unsaved_changed = Signal(str)
+    """Why the schedule cannot be started as it is, or empty."""
+    reported = Signal(str, bool)
+    """A line for the status, and whether it is an error."""
+    _delivered = Signal(object)
+
     def __init__(self, colours: Colours) -> None:
         super().__init__(colours)
         self.schedule = SchedulePanel()
-        self._content = ContentPanel()
+        self.form = ScheduleForm(colours)
+        self.drafted: Drafted | None = None
+        self._planner: DraftPlanner | None = None
+        self._preview: DirectionsView | None = None
+        self._rig: RigOpened | None = None
+        self._samples: tuple[str, ...] = ()
+        self._path: Path | None = None
+        self._saved = ""
         self._text = QPlainTextEdit()
-        self._text.setReadOnly(True)
         self._text.setAccessibleName("Text of the schedule file")
         self._text.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
         self._text.setTabChangesFocus(True)
-        self._text.setPlaceholderText("The text of the schedule is shown here.")
-        column = QWidget()
-        left = QVBoxLayout(column)
-        left.setContentsMargins(0, 0, 6, 0)
-        left.addWidget(self.schedule)
-        left.addWidget(self._content)
-        left.addStretch(1)
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(12)
+        self._text.setPlaceholderText("Open a schedule, or write a new one from a template.")
+        self._error, self._facts = QLabel(), QLabel()
+        for label, name in ((self._error, "Error in the schedule"), (self._facts, "What the schedule takes")):
+            label.setWordWrap(True)
+            label.setTextFormat(Qt.TextFormat.PlainText)
+            label.setAccessibleName(name)
+        self.incidence = QComboBox()
+        self.incidence.setAccessibleName("Incidence of the directions that are shown")
+        self.incidence.activated.connect(lambda _at: self._show_map())
+        left, middle, self._right = QWidget(), QWidget(), QWidget()
+        for column, parts in (
+            (left, (self.schedule, self.form)),
+            (middle, (self._text, self._error)),
+            (self._right, (self.incidence, self._facts)),
+        ):
+            layout = QVBoxLayout(column)
+            layout.setContentsMargins(0, 0, 6, 0)
+            for part in parts:
+                layout.addWidget(part, 1 if part is self._text else 0)
+            if column is left:
+                layout.addStretch(1)
         scroll = QScrollArea()
-        scroll.setWidget(column)
+        scroll.setWidget(left)
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QFrame.Shape.NoFrame)
         scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        layout.addWidget(scroll, 1)
-        layout.addWidget(self._text, 1)
+        columns = self._columns = QSplitter(Qt.Orientation.Horizontal)
+        columns.setChildrenCollapsible(False)
+        for part in (scroll, middle, self._right):
+            columns.addWidget(part)
+        outer = QHBoxLayout(self)
+        outer.setContentsMargins(0, 0, 0, 0)
+        outer.addWidget(columns)
+        self._pause = QTimer(self, singleShot=True, interval=PAUSE_MS)
+        self._pause.timeout.connect(self._plan)
+        self._text.textChanged.connect(self._take_text)
+        self.form.edited.connect(self._replace_text)
+        self.form.refused.connect(lambda reason: self._show_error(reason, None))
         self.schedule.plan_shown.connect(self._show_plan)
+        self.schedule.new_button.clicked.connect(lambda: self._ask_template())
+        self.schedule.save_button.clicked.connect(lambda: self.save())
+        self.schedule.copy_button.clicked.connect(lambda: self._ask_copy())
+        self._delivered.connect(self._show_draft, Qt.ConnectionType.QueuedConnection)
+        self.set_colours(colours)
         self._show_plan(None)
+
+    def complete(self) -> None:
+        """Make form, planner and picture."""
+        from goniotwin.app.desktop.model.draft import DraftPlanner
+        from goniotwin.app.desktop.setup.preview import DirectionsView
+
+        self._planner = DraftPlanner(self._delivered.emit)
+        self._preview = DirectionsView(self._colours)
+        layout = self._right.layout()
+        assert isinstance(layout, QVBoxLayout)
+        layout.insertWidget(1, self._preview, 1)
+        self.form.complete()
+
+    def set_colours(self, colours: Colours) -> None:
+        """Take the colours of a scheme."""
+        super().set_colours(colours)
+        self._error.setStyleSheet(f"color: {colours.bad}")
+        if self._preview is not None:
+            self._preview.set_colours(colours)
+
+    def fit(self, room: QSize) -> None:
+        """Leave out the directions where there is little room."""
+        self._right.setVisible(room.width() >= NARROW)
+        self._columns.setSizes([room.width() * share // 100 for share in SHARES])
+
+    def shut_down(self) -> None:
+        """End the planner."""
+        if self._planner is not None:
+            self._planner.close()
+
+    @Slot(object)
+    def show_message(self, message: object) -> None:
+        """Take the rig for which drafts are planned."""
+        if isinstance(message, model.RigOpened | model.RigClosed):
+            self._rig = message if isinstance(message, model.RigOpened) else None
+            self._pause.start()
+        elif isinstance(message, model.RigRead):
+            twin = None if message.rig is None else message.rig.twin
+            self._samples = () if twin is None else tuple(twin.samples)
+
+    # The text.
 
     @property
     def text(self) -> str:
         """The text of the schedule."""
         return self._text.toPlainText()
 
+    @property
+    def unsaved(self) -> bool:
+        """Whether the text differs from the file's."""
+        return self.text != self._saved
+
+    @property
+    def error(self) -> str:
+        """What is wrong with the text, or with what was typed into the form."""
+        return self._error.text()
+
     @Slot(object)
     def _show_plan(self, plan: "Plan | None") -> None:
-        self._content.set_plan(plan)
-        self._text.setPlainText("" if plan is None else plan.schedule.text)
+        """Show the schedule that was opened, unless changes of the one that is shown would be lost."""
+        if plan is None or (self.unsaved and plan.schedule.text != self.text):
+            return
+        self._path, self._saved = Path(plan.schedule.name), plan.schedule.text
+        if self.text != self._saved:
+            self._text.setPlainText(self._saved)
+        self._take_text()
 
+    @Slot()
+    def _take_text(self) -> None:
+        name = NEW_NAME if self._path is None else str(self._path)
+        self.form.set_text(self.text, name)
+        self.schedule.save_button.setEnabled(self.unsaved)
+        self.schedule.set_unsaved(self._path, unsaved=self.unsaved)
+        self.schedule.copy_button.setEnabled(bool(self.text))
+        self.unsaved_changed.emit(UNSAVED if self.unsaved else "")
+        self._pause.start()
 
-def plan_contents(plan: "Plan") -> list[tuple[str, str]]:
-    """What a plan measures, as names and texts."""
-    file = plan.schedule.file
-    gains = file.gains_v_per_a
-    grids = (("sigma", file.sigma_deg), ("gamma", file.gamma_deg), ("beta", file.beta_deg), ("shift", file.shift_deg))
-    named = (
-        ("Samples", ", ".join(file.samples)),
-        ("Reference standard", ", ".join(file.standards)),
-        ("Light", f"{file.light}, {file.side} side lit"),
-        *((GREEK[axis], values_text(model.grid_values(grid), "°")) for axis, grid in grids),
-        ("Wavelength", values_text(model.grid_values(file.wavelength_nm), " nm")),
-        ("Gains", gains if isinstance(gains, str) else ", ".join(map(gain_text, gains)) + " V/A"),
-        ("Dark readings", f"every {rounded_duration_text(file.dark_every_s)}"),
-    )
-    return list(named)
+    @Slot(str)
+    def _replace_text(self, text: str) -> None:
+        """Take a text with an edited value: one step to undo."""
+        cursor = QTextCursor(self._text.document())
+        cursor.beginEditBlock()
+        cursor.select(QTextCursor.SelectionType.Document)
+        cursor.insertText(text)
+        cursor.endEditBlock()
 
+    # Its plan.
 
-def values_text(values: tuple[float, ...], unit: str) -> str:
-    """Values of a grid with their unit: a few one by one, more as their range and number."""
-    if len(values) <= FEW:
-        return ", ".join(f"{each:g}" for each in values) + unit
-    return f"{min(values):g} to {max(values):g}{unit}, {len(values)} values"
+    @Slot()
+    def _plan(self) -> None:
+        if self._planner is not None and self.text:
+            self._planner.plan(self.text, self._path or Path(NEW_NAME), self._rig)
 
+    @Slot(object)
+    def _show_draft(self, drafted: "Drafted") -> None:
+        if drafted.of_template and not drafted.error:
+            self._path, self._saved = None, ""
+            self._text.setPlainText(drafted.text)
+            self.reported.emit("; ".join(["A new schedule. Save it to measure it", *drafted.notes]), False)
+            return
+        if not drafted.of_template and drafted.text != self.text:
+            return  # another key was pressed meanwhile; its text is planned next
+        before_maps = () if self.drafted is None else self.drafted.maps
+        self._show_error(drafted.error, drafted.line)
+        if drafted.error:
+            self.drafted = replace(drafted, maps=before_maps)
+            return  # the directions stay those of the last plan
+        self.drafted = drafted
+        self._facts.setText("\n".join([*drafted.facts, *(f"⚠ {each}" for each in drafted.warnings)]))
+        before = self.incidence.currentText()
+        self.incidence.clear()
+        self.incidence.addItems([model.map_title(each) for each in drafted.maps])
+        self.incidence.setCurrentIndex(max(0, self.incidence.findText(before)))
+        self.incidence.setVisible(len(drafted.maps) > 1)
+        self._show_map()
 
-def gain_text(volts_per_ampere: float) -> str:
-    """A gain in V/A as it stands in a schedule: 1e8."""
-    return f"{volts_per_ampere:g}".replace("e+", "e").replace("e0", "e")
+    def _show_map(self) -> None:
+        if self._preview is not None:
+            maps = () if self.drafted is None else self.drafted.maps
+            self._preview.show_map(maps[self.incidence.currentIndex()] if maps else None)
+
+    def _show_error(self, reason: str, line: int | None) -> None:
+        self._error.setText(reason and f"✗ {reason}")
+        self._error.setVisible(bool(reason))
+        marks = []
+        if line is not None:
+            mark = QTextEdit.ExtraSelection()
+            mark.cursor = QTextCursor(self._text.document().findBlockByNumber(line - 1))
+            mark.format.setBackground(QColor(self._colours.simulated))
+            mark.format.setForeground(QColor(self._colours.on_simulated))
+            marks = [mark]
+        self._text.setExtraSelections(marks)
+
+    # The file.
+
+    def _ask_template(self) -> None:
+        def chosen(choice: "TemplateChoice") -> None:
+            if self._planner is not None:
+                self._planner.make(choice, Path(NEW_NAME), self._rig)
+
+        self.leave(lambda: NewSchedule(self.window(), self._samples, chosen).show())
+
+    def leave(self, then: Callable[[], object]) -> None:
+        """Do what takes the text away: at once, or after a question where it is not saved. Blocks nothing."""
+        if not self.unsaved:
+            then()
+            return
+
+        def discard() -> None:
+            self._text.setPlainText(self._saved)
+            then()
+
+        ask_to_replace(
+            self.window(), "Discard the changes of the schedule?", "They are not saved (Ctrl+S).", discard, "Discard"
+        )
+
+    def _ask_copy(self) -> None:
+        name = NEW_NAME if self._path is None else f"{self._path.stem}-copy.toml"
+        inside = self._path is None or self._path.is_relative_to(EXAMPLES)
+        first = (Path.cwd() if inside or self._path is None else self._path.parent) / name
+        ask_file(self.window(), "Save the schedule as", first, "Schedule files (*.toml)", self.save)
+
+    def save(self, path: Path | None = None) -> None:
+        """Write the text to its file, or to another one, which is then opened. Without a file one is asked for."""
+        path = path or self._path
+        if path is None or path.is_relative_to(EXAMPLES):
+            self._ask_copy()
+            return
+        text = self.text
+        try:
+            write_file(path, text.encode())
+        except (UserError, OSError) as error:
+            self.reported.emit(str(error), True)
+            return
+        self._path, self._saved = path, text
+        self._take_text()
+        self.saved.emit(path)

@@ -22,7 +22,7 @@ from PySide6.QtWidgets import (
 from goniotwin import examples
 from goniotwin.app.desktop import model
 from goniotwin.app.desktop.dialogs import FileDialog
-from goniotwin.app.desktop.events.question import Choice, QuestionBox
+from goniotwin.app.desktop.events.question import QuestionBox, ask_to_replace
 from goniotwin.app.desktop.screen import Screen, WithoutPreferredHeight
 from goniotwin.app.desktop.theme import Colours
 from goniotwin.app.desktop.tolerances.distribution_view import DistributionView
@@ -34,7 +34,6 @@ if TYPE_CHECKING:  # the window shows itself before the optics are loaded
     from goniotwin.app.station.messages import Snapshot
 
 FOLDER = examples.FOLDER / "tolerances"
-REPLACE, CANCEL = "Replace", "Cancel"
 WIDE, HIGH = 820, 330
 """Size of a room from which on the study is beside its result, and the curves are below their table."""
 LEAST_PARTS = 200, 138
@@ -417,18 +416,8 @@ class TolerancesScreen(Screen):
         if not there:
             self._write(outcome, folder)
             return
-        choices = [Choice(REPLACE, "Their content is lost"), Choice(CANCEL, "Nothing is written", default=True)]
-        text = f"{folder} has {', '.join(there)}."
-        box = QuestionBox(self, "Replace the files of an earlier study?", text, choices)
-        self.question = box
-
-        def decide(label: str) -> None:
-            box.dismiss()
-            self.question = None
-            if label == REPLACE:
-                self._write(outcome, folder)
-
-        box.chosen.connect(decide)
+        title, text = "Replace the files of an earlier study?", f"{folder} has {', '.join(there)}."
+        self.question = ask_to_replace(self, title, text, lambda: self._write(outcome, folder))
 
     def _write(self, outcome: "StudyOutcome", folder: Path) -> None:
         try:

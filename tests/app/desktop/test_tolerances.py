@@ -17,12 +17,13 @@ from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.running.events import State, StateChanged
 from goniotwin.app.desktop import model
+from goniotwin.app.desktop.events.question import REPLACE
 from goniotwin.app.desktop.model import tolerances
 from goniotwin.app.desktop.model.messages import Attached, NotAttached
 from goniotwin.app.desktop.model.tolerances import Studies, StudyAnswer, StudyFailed, StudyOutcome, StudyProgress, read_content
 from goniotwin.app.desktop.theme import LIGHT
 from goniotwin.app.desktop.tolerances.distribution_view import NOTHING, ROOM_OF_VALUE
-from goniotwin.app.desktop.tolerances.screen import CANCELLED, FOLDER, IN_RUN, READY, REPLACE, WAITING, TolerancesScreen
+from goniotwin.app.desktop.tolerances.screen import CANCELLED, FOLDER, IN_RUN, READY, WAITING, TolerancesScreen
 from goniotwin.app.figures.scale import linear_ticks
 from goniotwin.app.station.messages import Snapshot
 from tests.app.desktop.conftest import click

@@ -1,0 +1,138 @@
+"""The form of a schedule, and what a new one is made from. Fields, help and choices are those of `campaign.schedule.form`."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from PySide6.QtCore import Signal
+from PySide6.QtWidgets import QComboBox, QDialog, QDialogButtonBox, QFormLayout, QLabel, QLineEdit, QVBoxLayout, QWidget
+
+from goniotwin.app.desktop.theme import Colours
+from goniotwin.app.errors import UserError
+
+if TYPE_CHECKING:  # the window shows itself before the tables of the schedule are loaded
+    from goniotwin.app.campaign.schedule.form import FormField
+    from goniotwin.app.desktop.model.draft import TemplateChoice
+
+TARGET_U, LONGEST_H = "0.02", "8"
+"""What a new schedule is made for, unless a person writes something else."""
+
+
+class ScheduleForm(QWidget):
+    """The fields of a schedule. `edited` has the text of the schedule with what was typed."""
+
+    edited = Signal(str)
+    refused = Signal(str)
+    """Why what was typed is no value."""
+
+    def __init__(self, colours: Colours) -> None:
+        super().__init__()
+        self.setAccessibleName("Form of the schedule")
+        self._colours = colours
+        self._text, self._name = "", ""
+        self.fields: dict[str, QLineEdit | QComboBox] = {}
+        self._declared: dict[str, FormField] = {}
+        self._layout = QFormLayout(self)
+        self._layout.setContentsMargins(0, 0, 0, 0)
+        self._layout.setVerticalSpacing(3)
+        self._layout.setRowWrapPolicy(QFormLayout.RowWrapPolicy.WrapLongRows)
+
+    def complete(self) -> None:
+        """Make the fields, which the schedule's tables declare."""
+        from goniotwin.app.campaign.schedule.form import (
+            FIELDS,
+        )  # loads the schedule's tables, which a first picture does without
+
+        for each in FIELDS:
+            field = QComboBox() if each.choices else QLineEdit()
+            if isinstance(field, QComboBox):
+                field.addItems(each.choices)
+                field.activated.connect(lambda _at, key=each.key: self._edit(key))
+            else:
+                field.editingFinished.connect(lambda key=each.key: self._edit(key))
+            field.setAccessibleName(each.label)
+            field.setAccessibleDescription(each.help)
+            field.setToolTip(each.help)
+            self.fields[each.key], self._declared[each.key] = field, each
+            self._layout.addRow(each.label, field)
+        self.set_text(self._text, self._name)
+
+    def set_text(self, text: str, name: str) -> None:
+        """Show the fields of a text; where it is not TOML they stay as they are."""
+        self._text, self._name = text, name
+        self.setEnabled(bool(text))
+        for key, field in self.fields.items():
+            try:
+                shown = self._declared[key].shown(text, name)
+            except UserError:
+                return
+            if isinstance(field, QComboBox):
+                field.setCurrentText(shown)
+            elif field.text() != shown and not field.hasFocus():
+                field.setText(shown)
+
+    def _edit(self, key: str) -> None:
+        field = self.fields[key]
+        typed = field.currentText() if isinstance(field, QComboBox) else field.text()
+        try:
+            edited = self._declared[key].edited(self._text, typed, self._name)
+        except UserError as error:
+            self.refused.emit(str(error))
+            return
+        if edited != self._text:
+            self.edited.emit(edited)
+
+
+class NewSchedule(QDialog):
+    """The questions of a new schedule, as `goniotwin new` asks them. It blocks nothing; `chosen` has a `TemplateChoice`."""
+
+    def __init__(self, parent: QWidget, samples: tuple[str, ...], chosen: "Callable[[TemplateChoice], None]") -> None:
+        # Loads the planner, which the window has by then.
+        from goniotwin.app.campaign.planning.templates import TEMPLATES
+        from goniotwin.app.desktop.model.draft import TemplateChoice
+
+        super().__init__(parent)
+        self.setWindowTitle("New schedule")
+        self.setAccessibleName("New schedule")
+        self._chosen, self._make = chosen, TemplateChoice
+        self.template, self.sample, self.etalon = QComboBox(), QComboBox(), QComboBox()
+        for name, each in TEMPLATES.items():
+            self.template.addItem(f"{name}: {each.title}", name)
+        for choice in (self.sample, self.etalon):
+            choice.setEditable(True)
+            choice.addItems(samples)
+        self.etalon.setCurrentText("etalon")
+        self.sample.setCurrentText(next((each for each in samples if each != "etalon"), "sample"))
+        self.relative_u, self.longest_h = QLineEdit(TARGET_U), QLineEdit(LONGEST_H)
+        self._error = QLabel()
+        self._error.setWordWrap(True)
+        form = QFormLayout()
+        for label, field in (
+            ("What is measured", self.template),
+            ("Sample", self.sample),
+            ("Reference standard", self.etalon),
+            ("Target u (k = 1), relative", self.relative_u),
+            ("Longest time, h", self.longest_h),
+        ):
+            field.setAccessibleName(label)
+            form.addRow(label, field)
+        buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Ok | QDialogButtonBox.StandardButton.Cancel)
+        buttons.button(QDialogButtonBox.StandardButton.Ok).setText("Write the schedule")
+        buttons.accepted.connect(self._accept)
+        buttons.rejected.connect(self.reject)
+        layout = QVBoxLayout(self)
+        layout.addLayout(form)
+        layout.addWidget(self._error)
+        layout.addWidget(buttons)
+
+    def _accept(self) -> None:
+        numbers = []
+        for field in (self.relative_u, self.longest_h):
+            try:
+                numbers.append(float(field.text()))
+            except ValueError:
+                self._error.setText(f"{field.accessibleName()}: {field.text()!r} is no number; write one such as 0.02 or 8")
+                field.setFocus()
+                return
+        sample, etalon = self.sample.currentText().strip(), self.etalon.currentText().strip()
+        self._chosen(self._make(str(self.template.currentData()), sample, etalon, *numbers))
+        self.accept()
