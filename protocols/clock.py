@@ -24,6 +24,15 @@ def calendar_stamp() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
+def local_stamp(stamp: str) -> str:
+    """A calendar's stamp (ISO 8601) in this computer's time zone, with its offset from UTC; any other text as it is."""
+    try:
+        local = datetime.fromisoformat(stamp).astimezone().isoformat(" ", "seconds")
+    except (ValueError, OverflowError, OSError):
+        return stamp
+    return f"{local[:19]} UTC{local[19:]}"
+
+
 def calendar_s() -> float:
     """The calendar's time, s. It may be set, and goes on while the computer sleeps."""
     return time.time()

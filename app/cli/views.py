@@ -104,30 +104,39 @@ def compare(
 def report(
     journal: Annotated[Path, typer.Argument(metavar="JOURNAL", help="Data file (journal) of a campaign.", show_default=False)],
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE.html", help="File to write.", show_default="beside the journal")
+        Path | None,
+        typer.Option("--out", metavar="FILE", help="File to write: .html or .pdf.", show_default="beside the journal"),
     ] = None,
+    number: Annotated[
+        str, typer.Option("--number", metavar="TEXT", help="Number of the report, for each page.", show_default=False)
+    ] = "",
+    approved_by: Annotated[
+        str, typer.Option("--approved-by", metavar="NAME", help="Person who authorises the report.", show_default=False)
+    ] = "",
     without_damaged: Annotated[
         bool, typer.Option("--without-damaged", help="Leave out damaged rows. Otherwise they prevent the output.")
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Write the report of a campaign, one HTML file.
+    """Write the report of a campaign, one HTML file or a PDF.
 
-    Any browser shows and prints the file. It needs no other file.
+    Any browser shows and prints the HTML. It needs no other file. A PDF needs WeasyPrint: pip install 'goniotwin[pdf]'. Without
+    it, the program writes the HTML beside the PDF's place and ends with status 2.
 
-    The report states what was measured and how, with the uncertainties and the budget. It has plots, the checks of goniotwin
-    verify and closure, faults and flags, the metadata, and the digest of the raw data. The journal is not changed.
+    The report states what was measured and how, with the uncertainties and the budget. It has values at standard geometries,
+    plots, the checks of goniotwin verify and closure, faults and flags, the metadata, and the digest of the raw data. Times are
+    in this computer's time zone. The journal is not changed.
     """
-    from goniotwin.app.data.report.report import write_report
+    from goniotwin.app.data.report.report import PAGES, PDF, write_report
 
     if not journal.name:
         raise UserError(f"{journal}: is no journal; give the path of one, NAME.journal")
     file = journal.with_suffix(".html") if out is None else out
     if os.path.realpath(file) == os.path.realpath(journal):
         raise UserError(f"{file}: is the journal itself; choose another name with --out")
-    if file.suffix.lower() not in (".html", ".htm"):
-        raise UserError(f"{file}: a report is an HTML file; give a name that ends with .html")
-    result = write_report(journal, file, without_damaged=without_damaged)
+    if file.suffix.lower() not in (*PAGES, PDF):
+        raise UserError(f"{file}: a report is HTML or a PDF; give a name that ends with .html or .pdf")
+    result = write_report(journal, file, without_damaged=without_damaged, number=number, approved_by=approved_by)
     mark = "SIMULATED, " if result["simulated"] else ""
     answer(as_json, result, lambda: print(f"{mark}report: {file}"))
     for finding in result["findings"]:

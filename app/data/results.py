@@ -11,7 +11,7 @@ import numpy as np
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.components import OTHER, kinds
+from goniotwin.app.campaign.reduction.components import words_of
 from goniotwin.app.campaign.rehearsal.without_wires import expected_model, run_without_wires
 from goniotwin.app.campaign.running.resume import recorded_rig
 from goniotwin.app.campaign.schedule.file import parse_schedule
@@ -197,7 +197,7 @@ class Results:
         drawn = disc.map
         assert drawn is not None
         area = surface(drawn)
-        measured, of = here.only.measured, kinds()
+        measured = here.only.measured
         budget = {} if measured is None else measured.points.budget
         return Shown(
             view,
@@ -212,7 +212,7 @@ class Results:
             plane,
             x,
             None if measured is None else measured.points.row,
-            {of.get(name, OTHER).words or name: each for name, each in budget.items()},
+            {words_of(name): each for name, each in budget.items()},
             residual if plane.size else None,
             compared,
             about,

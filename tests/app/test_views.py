@@ -85,7 +85,7 @@ def test_a_model_is_compared_in_the_directions_of_the_other(ddr: Path) -> None:
         (("compare", JOURNAL, "missing.ddr"), "missing.ddr: "),
         (("compare", JOURNAL, JOURNAL, "--sample", "a", "--sample", "b", "--sample", "c"), "--sample: may be given twice"),
         (("report", JOURNAL, "--out", JOURNAL), "is the journal itself"),
-        (("report", JOURNAL, "--out", "schedule.toml"), "schedule.toml: a report is an HTML file"),
+        (("report", JOURNAL, "--out", "schedule.toml"), "schedule.toml: a report is HTML or a PDF"),
     ],
 )
 def test_what_cannot_be_shown_is_refused_in_one_line(

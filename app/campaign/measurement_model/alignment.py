@@ -25,6 +25,8 @@ DETERMINED = 0.5
 """The data determine a combination whose u is below this share of that stated before."""
 MOVED = 1e-3
 """Combinations that differ by as much on fewer rigs show that this one has moved."""
+ALIGNMENT = "alignment"
+"""The component whose elements are the modes of an alignment."""
 LARGEST_NAMED = 3
 """Inputs that the description of a mode names."""
 LEAST_COEFFICIENT = 1e-4
@@ -158,7 +160,7 @@ class Alignment:
             shared = "all values, tilts of a sample those of its mounting"
             source = f"{self.source}: {about}" if self.source else about
             found.append(
-                InputQuantity(f"alignment[{k}]", "1", float(np.sqrt(value)), "normal", shared, source, "", origin=MEASURED)
+                InputQuantity(f"{ALIGNMENT}[{k}]", "1", float(np.sqrt(value)), "normal", shared, source, "", origin=MEASURED)
             )
         return tuple(found), self._stated[:, None] * vectors
 

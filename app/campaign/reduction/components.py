@@ -5,12 +5,14 @@ array of the values' shape. For tables a component is wholly shared between neig
 not at all. `Quantity` has the effects that they come from.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
 
+from goniotwin.app.campaign.measurement_model.alignment import ALIGNMENT
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
 from goniotwin.app.campaign.measurement_model.quantity import Components, Quantity
 from goniotwin.app.campaign.reduction.reading_inputs import (
@@ -115,6 +117,30 @@ def kinds() -> dict[str, Kind]:
         raise ValueError(f"a declared factor has the name of a component: {', '.join(sorted(same))}")
     texts = {each.name: each.text.partition(";")[0] for each in declared.factors()}
     return {**KINDS, **{name: Kind(texts[name], of_row=each, of_direction=not each) for name, each in of_row.items()}}
+
+
+NAME = re.compile(r"([^\[@*]+)(?:\*([^\[@]+))?(?:\[([^\]]*)\])?(?:@(.*))?", re.DOTALL)
+"""A component or an input as budgets name it: what it is, what it is multiplied by, its element, and its row or mounting."""
+
+
+def words_of(name: str) -> str:
+    """A component or an input of a budget in words for a reader, with its element, and its row, move or mounting."""
+    found = NAME.fullmatch(name)
+    if found is None:
+        return name
+    first, second, element, place = found.groups(default="")
+    moved = first == declared.POSITION.name or place.startswith("#")
+    element = element if first == ALIGNMENT else re.sub(r"^\d+(?=,|$)", r"photodiode \g<0>", element)
+    place = re.sub(r"^dark (?=\d)", "dark reading ", place)
+    place = re.sub(r",?#(?=\d+$)", ", move " if moved else ", mounting ", place).removeprefix(", ")
+    details = ", ".join(filter(None, (element, place)))
+    return f"{' times '.join(_words_of_kind(each) for each in (first, second) if each)}{f' ({details})' if details else ''}"
+
+
+def _words_of_kind(name: str) -> str:
+    named = [each.text.partition(";")[0] for each in declared.inputs() if each.name == name]
+    turned = re.sub("tilt_(?=[xyz]$)", "tilt about ", re.sub("shift_(?=[xyz]$)", "shift along ", name))
+    return kinds().get(name, OTHER).words or (named[0] if named else turned.replace("_", " "))
 
 
 def input_of(component: str, number: int, rig: RigFile) -> InputQuantity:

@@ -50,6 +50,11 @@ def sides(dataset: Dataset) -> Iterator[tuple[bool, bool, Dataset]]:
                 yield back, transmitted, dataset.where(chosen)
 
 
+def side_words(transmitted: bool, back: bool) -> str:
+    """The side that light leaves on, and the lit side, in words."""
+    return f"{'transmitted' if transmitted else 'reflected'}{', lit on the back' if back else ''}"
+
+
 def quantity_of(dataset: Dataset) -> str:
     """The quantity of the trusted values with its unit: BSDF where they are of both sides."""
     lit = np.unique(dataset.transmitted[dataset.good])

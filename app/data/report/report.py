@@ -1,12 +1,14 @@
 """The report of a journal: what was measured, on what, how, with which uncertainty; plots, checks, faults, metadata, digest.
 
-One HTML file that needs no other. All texts of the journal are escaped: a journal may be of unknown origin.
+One HTML file that needs no other, or the same as a PDF. All texts of the journal are escaped: its origin may be unknown.
 """
 
 import base64
 import math
+import re
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,7 +17,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.components import COVERAGE as INTERVAL_U
-from goniotwin.app.campaign.reduction.components import INTERVAL_RULE
+from goniotwin.app.campaign.reduction.components import INTERVAL_RULE, words_of
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.lit_hole import in_one_line
 from goniotwin.app.campaign.reduction.points import FLAGS
@@ -31,15 +33,18 @@ from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.verification import Verdict, verify_journal
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.kinds import KINDS
+from goniotwin.app.data.kinds.choice import side_words
 from goniotwin.app.data.opening import dataset_of_evaluation
 from goniotwin.app.data.plotting import plot
+from goniotwin.app.data.standard_values import standard_values
 from goniotwin.app.data.values import Measured
-from goniotwin.app.errors import UserError
+from goniotwin.app.errors import MissingPackage, UserError
+from goniotwin.app.figures.curves import COVERAGE
 from goniotwin.app.figures.matplotlib_figure import picture
 from goniotwin.app.formats.content import UNTRUSTED
-from goniotwin.app.formats.file import SQLITE, check_writable, read_head, write_file
+from goniotwin.app.formats.file import SQLITE, Replaceable, check_writable, read_head, write_file
 from goniotwin.app.formats.metadata import Metadata
-from goniotwin.protocols.clock import calendar_stamp
+from goniotwin.protocols.clock import calendar_stamp, local_stamp
 
 T = TypeVar("T")
 TEMPLATE = "report.html.j2"
@@ -60,6 +65,19 @@ EVENTS = {
 MOST_EVENTS, MOST_LIGHTS, MOST_LISTED, LEAST_SHARE = 30, 24, 24, 0.005
 DIFFUSE_DEG = 30.0
 """Aspecular angle of the second value with a budget."""
+STAMP = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:Z|[+-]\d\d:\d\d)")
+"""A time in a text, as `calendar_stamp` has it."""
+PDF, PAGES = ".pdf", (".html", ".htm")
+"""The suffixes of a report."""
+KIND = "BSDF measurement report"
+OF_HEAD = ("date", "operator", "laboratory")
+"""Metadata at the top of a report."""
+PAGE = Replaceable("a report that goniotwin has written", lambda content: KIND.encode() in content)
+NO_WEASYPRINT = "WeasyPrint is not installed; run pip install 'goniotwin[pdf]'"
+NO_PANGO = (
+    "Pango, which WeasyPrint needs, is not installed; on Debian and Ubuntu run sudo apt-get install -y libpango-1.0-0 "
+    "libpangoft2-1.0-0 libharfbuzz-subset0, on macOS brew install pango, elsewhere see WeasyPrint's installation guide"
+)
 
 
 @dataclass(frozen=True)
@@ -78,16 +96,58 @@ class _Line:
     freedom: float | None = None
 
 
-def write_report(journal: Path, out: Path, *, without_damaged: bool = False, kinds: Collection[str] = KINDS) -> dict[str, Any]:
-    """Write the report of a journal, as `report_html`; returns what it states. Raises UserError, and FormatError for `out`."""
+def write_report(
+    journal: Path,
+    out: Path,
+    *,
+    without_damaged: bool = False,
+    kinds: Collection[str] = KINDS,
+    number: str = "",
+    approved_by: str = "",
+) -> dict[str, Any]:
+    """Write the report of a journal, as `report_html`; returns what it states. The suffix .pdf makes a PDF.
+
+    Raises UserError, and FormatError for `out`; MissingPackage where a PDF cannot be made: the HTML is then beside it.
+    """
+    as_pdf, page = out.suffix.lower() == PDF, out.with_suffix(PAGES[0])
     check_writable(out)
-    html, result = report_html(journal, without_damaged=without_damaged, kinds=kinds)
-    write_file(out, html.encode())
+    if as_pdf:
+        check_writable(page, PAGE)
+    html, result = report_html(journal, without_damaged=without_damaged, kinds=kinds, number=number, approved_by=approved_by)
+    try:
+        content = pdf_of(html) if as_pdf else html.encode()
+    except MissingPackage as error:
+        write_file(page, html.encode(), PAGE)
+        raise MissingPackage(f"{out}: {error}; the report is in {page} instead") from None
+    write_file(out, content)
     return {"file": str(out), **result}
 
 
-def report_html(path: Path, *, without_damaged: bool = False, kinds: Collection[str] = KINDS) -> tuple[str, dict[str, Any]]:
-    """The report of a journal as HTML with pictures of `kinds`, and what it states in short, for JSON. Raises UserError."""
+def pdf_of(html: str) -> bytes:
+    """A report as PDF, by WeasyPrint; nothing is fetched. Raises MissingPackage with what to install."""
+    try:
+        weasyprint = import_module("weasyprint")
+    except ImportError:
+        raise MissingPackage(NO_WEASYPRINT) from None
+    except OSError:  # it loads Pango as it is imported
+        raise MissingPackage(NO_PANGO) from None
+    document = weasyprint.HTML(string=html, url_fetcher=weasyprint.URLFetcher(allowed_protocols=("data",)))
+    content: bytes = document.write_pdf()
+    return content
+
+
+def report_html(
+    path: Path,
+    *,
+    without_damaged: bool = False,
+    kinds: Collection[str] = KINDS,
+    number: str = "",
+    approved_by: str = "",
+) -> tuple[str, dict[str, Any]]:
+    """The report of a journal as HTML with pictures of `kinds`, and what it states in short, for JSON. Raises UserError.
+
+    `number` is that of the report, on each page of print, and `approved_by` the person who authorises it.
+    """
     template = _template()
     if read_head(path, len(SQLITE)) != SQLITE:
         raise UserError(f"{path}: is not a journal, and a report is one of a campaign; for a file use goniotwin plot")
@@ -108,9 +168,22 @@ def report_html(path: Path, *, without_damaged: bool = False, kinds: Collection[
         name=dataset.name,
         simulated=dataset.simulated,
         seed=rig.seed if dataset.simulated else None,
-        written=calendar_stamp(),
+        kind=KIND,
+        number=number,
+        head=[
+            (name, text)
+            for name, text in (
+                ("report number", number),
+                ("laboratory", first.laboratory),
+                ("measured by", first.operator),
+                ("approved by", approved_by),
+                ("measured", first.date),
+                ("report written", calendar_stamp()),
+            )
+            if text
+        ],
+        coverage=COVERAGE,
         metadata=list(_groups(first)),
-        date=first.date,
         method=first.method,
         geometry=first.geometry,
         summary=_summary(dataset, verdicts),
@@ -152,7 +225,9 @@ def _template() -> Any:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(number=_number, percent=_percent, duration=_duration, signed=signed)
+    environment.filters.update(
+        number=_number, percent=_percent, duration=_duration, signed=signed, local=_local, css=_css, words=words_of
+    )
     return environment.get_template(TEMPLATE)
 
 
@@ -162,6 +237,16 @@ def _number(value: float | None) -> str:
 
 def _percent(value: float | None) -> str:
     return "" if value is None or not math.isfinite(value) else f"{100.0 * value:.3g} %"
+
+
+def _local(text: object) -> str:
+    """A text with its times in this computer's time zone."""
+    return STAMP.sub(lambda found: local_stamp(found[0]), str(text))
+
+
+def _css(text: str) -> str:
+    """A text within a string of a style sheet."""
+    return "".join(each if each.isascii() and each.isalnum() else f"\\{ord(each):x} " for each in text)
 
 
 def _duration(seconds: float) -> str:
@@ -175,7 +260,7 @@ def _groups(metadata: Metadata) -> Iterator[tuple[str, list[tuple[str, str]]]]:
     general: list[tuple[str, str]] = []
     groups: list[tuple[str, list[tuple[str, str]]]] = []
     for name, value in metadata.as_dict().items():
-        if name == "sample":
+        if name in ("sample", *OF_HEAD):
             continue
         if isinstance(value, dict):
             groups.append((name, [(_words(key), _text(each)) for key, each in value.items() if key != "findings"]))
@@ -237,6 +322,7 @@ def _sample(dataset: Dataset, metadata: Metadata, kinds: Collection[str]) -> dic
         "name": dataset.sample,
         "about": [(_words(key), value) for key, value in metadata.as_dict().get("sample", {}).items()],
         "plots": list(_plots(dataset, kinds)),
+        "standard": standard_values(dataset),
         "lights": list(_lights(dataset)),
         "flags": [(name, FLAGS[name].meaning, count, name in UNTRUSTED) for name, count in counts.items() if count],
         "shares": _mean_shares(dataset),
@@ -275,7 +361,7 @@ def _lights(dataset: Dataset) -> Iterator[dict[str, Any]]:
         relative = dataset.u[above] / dataset.bsdf[above]
         low, middle, high = np.quantile(relative, [0.05, 0.5, 0.95]).tolist() if relative.size else [math.nan] * 3
         yield {
-            "light": f"{'transmitted' if transmitted else 'reflected'}{', lit on the back' if back else ''}",
+            "light": side_words(bool(transmitted), bool(back)),
             "wavelength": f"{wavelength:g} nm" if wavelength else "all",
             "sigma": sigma,
             "values": int(here.sum()),

@@ -1,6 +1,12 @@
 """The report: what it states of a journal, that it needs no other file, and that texts of a journal are texts."""
 
+import base64
+import csv
+import io
 import re
+import sys
+import time  # noqa: TID251  (its zone)
+from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -13,11 +19,15 @@ from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.verification import Verdict, verify_journal
-from goniotwin.app.data.report.report import report_html, write_report
-from goniotwin.app.errors import GoniotwinError
+from goniotwin.app.data.opening import open_dataset
+from goniotwin.app.data.report.report import NO_PANGO, pdf_of, report_html, write_report
+from goniotwin.app.data.standard_values import standard_values
+from goniotwin.app.errors import GoniotwinError, MissingPackage
+from goniotwin.app.formats.content import UNTRUSTED
+from goniotwin.app.formats.file import FormatError
 from goniotwin.app.rig import read_rig
 from tests.app.campaign.reduction.long_journal import write_long_journal
-from tests.conftest import RIG, SMALL, changed
+from tests.conftest import REPOSITORY, RIG, SMALL, changed
 
 pytestmark = pytest.mark.xdist_group("report")
 
@@ -93,7 +103,8 @@ def test_a_report_states_what_is_known_and_needs_no_other_file(journal: Path, tm
     for word in (
         "noise floor, 1/sr",
         "field of view, deg",
-        "certificate[level]",
+        "certificate of the etalon (level)",
+        "noise of the reading of the etalon (photodiode ",
         "[etalon] relative_uncertainty",
         "dark_readings = 4",
     ):
@@ -130,3 +141,100 @@ def test_a_file_that_is_no_journal_has_no_report(tmp_path: Path) -> None:
     path.write_text("sample,sigma_deg\n", encoding="utf-8")
     with pytest.raises(GoniotwinError, match=r"a\.csv: "):
         report_html(path)
+
+
+@pytest.fixture
+def far_east(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A computer whose time zone is nine hours ahead of UTC."""
+    if not hasattr(time, "tzset"):
+        pytest.skip("the time zone of a process cannot be set here")
+    monkeypatch.setenv("TZ", "XYZ-9")
+    time.tzset()
+    yield
+    monkeypatch.undo()
+    time.tzset()
+
+
+@pytest.mark.usefixtures("far_east")
+def test_a_report_begins_with_number_persons_and_times_of_this_zone(journal: Path) -> None:
+    html, _ = report_html(journal, kinds=(), number='A-7";} </style>', approved_by="B. Other")
+    page = Page(html)
+    assert 'report number A-7";} </style> measured by A. Person approved by B. Other measured 2' in page.text
+    assert 'content: "report\\20 A\\2d 7\\22 \\3b \\7d \\20 \\3c \\2f style\\3e ";' in html  # no end of a string, and no tag
+    with Journal.open(journal) as opened:
+        begun = opened.sessions()[0].wall_started
+    assert begun.endswith("+00:00")
+    assert begun not in page.text
+    assert len(re.findall(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d UTC\+09:00", page.text)) == 4
+
+
+def test_a_report_has_the_values_at_standard_geometries(journal: Path) -> None:
+    text = Page(report_html(journal, kinds=())[0]).text
+    found = standard_values(open_dataset(journal))
+    assert {each.geometry for each in found.values} == {"specular"}
+    for each in found.values:
+        assert f"{each.bsdf:#.4g} {each.expanded_u:#.2g}" in text
+    assert f"Not covered by trusted values: {'; '.join(found.missing)}." in text
+
+
+@pytest.mark.parametrize("error", [ImportError, OSError])
+def test_without_weasyprint_or_pango_the_html_is_beside_the_pdf(
+    error: type[Exception], journal: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Absent:
+        def find_spec(self, name: str, *_: object) -> None:
+            if name == "weasyprint":
+                raise error
+
+    monkeypatch.delitem(sys.modules, "weasyprint", raising=False)
+    monkeypatch.setattr(sys, "meta_path", [Absent(), *sys.meta_path])
+    with pytest.raises(MissingPackage) as missing:
+        write_report(journal, tmp_path / "a.pdf", kinds=())
+    remedy = NO_PANGO if error is OSError else "WeasyPrint is not installed; run pip install 'goniotwin[pdf]'"
+    assert str(missing.value) == f"{tmp_path / 'a.pdf'}: {remedy}; the report is in {tmp_path / 'a.html'} instead"
+    assert [each.name for each in tmp_path.iterdir()] == ["a.html"]
+    assert "certificate of the etalon" in (tmp_path / "a.html").read_text(encoding="utf-8")
+
+
+def test_a_page_of_another_program_is_not_replaced(journal: Path, tmp_path: Path) -> None:
+    (tmp_path / "a.html").write_text("<html>mine</html>", encoding="utf-8")
+    with pytest.raises(FormatError, match=r"a\.html: "):
+        write_report(journal, tmp_path / "a.pdf", kinds=())
+    assert (tmp_path / "a.html").read_text(encoding="utf-8") == "<html>mine</html>"
+
+
+@pytest.mark.long
+def test_each_page_of_a_pdf_has_number_and_mark_and_its_values_are_those_of_the_export(journal: Path, tmp_path: Path) -> None:
+    pytest.importorskip("weasyprint", reason="the extra `release` is not installed: no PDF")
+    pypdf = pytest.importorskip("pypdf", reason="the extra `release` is not installed: no text of a PDF")
+    write_report(journal, tmp_path / "a.pdf", number="A-7")
+    pages = [" ".join(each.extract_text().split()) for each in pypdf.PdfReader(tmp_path / "a.pdf").pages]
+    assert len(pages) > 4
+    for number, page in enumerate(pages, 1):
+        assert page.startswith("SIMULATED ") or page.endswith("SIMULATED") or " SIMULATED " in page
+        assert f"page {number} of {len(pages)}" in page
+        assert "report A-7" in page
+    text = " ".join(pages)
+    assert "measured by A. Person" in text
+    open_dataset(journal).save(tmp_path / "a.csv")
+    lines = [each for each in (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines() if not each.startswith("#")]
+    rows = list(csv.DictReader(io.StringIO("\n".join(lines))))
+    good = [each for each in rows if each["bsdf_per_sr"] not in ("", "nan") and UNTRUSTED.isdisjoint(each["flags"].split())]
+    for nm in (550, 600):
+        here = [each for each in good if float(each["wavelength_nm"]) == nm]
+        largest = max(float(each["bsdf_per_sr"]) for each in here)
+        planned = sum(float(each["wavelength_nm"]) == nm for each in rows)
+        assert re.search(rf"reflected {nm} nm 30 {planned} {len(here)} \d+ {largest:.4g} ", text)
+        (specular,) = (each for each in here if abs(float(each["theta_deg"])) < 1e-6)
+        value, u = float(specular["bsdf_per_sr"]), float(specular["u_bsdf_per_sr"])
+        four = f"{value:#.4g} {2.0 * u:#.2g} {3.14159265 * value:#.4g} {6.2831853 * u:#.2g}"
+        assert f"specular reflected {nm} 30° 30° 180° {four} measured" in text
+
+
+@pytest.mark.long
+def test_a_pdf_has_no_picture_from_elsewhere(tmp_path: Path) -> None:
+    pytest.importorskip("weasyprint", reason="the extra `release` is not installed: no PDF")
+    picture = REPOSITORY / "docs" / "pictures" / "report.png"
+    embedded = f"data:image/png;base64,{base64.b64encode(picture.read_bytes()).decode()}"
+    found = [b"/Subtype /Image" in pdf_of(f"<img src='{each}'>") for each in (embedded, picture.as_uri())]
+    assert found == [True, False]
