@@ -13,7 +13,7 @@ import secrets
 import tomllib
 from collections.abc import Callable
 from dataclasses import is_dataclass
-from datetime import date
+from datetime import date, datetime
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast
@@ -65,7 +65,20 @@ def _read_day(value: Any) -> Any:
         raise ValueError(f"should be a date without a time, not {value[DATE]}") from None
 
 
+def _read_moment(value: Any) -> Any:
+    """A time of the calendar as text, ISO 8601, of a date-time or a text. Raises ValueError for one without its zone."""
+    text = value[DATE] if isinstance(value, dict) and DATE in value else value
+    try:
+        if text and isinstance(text, str) and datetime.fromisoformat(text).tzinfo is None:
+            raise ValueError
+    except ValueError:
+        raise ValueError(f"should be a time with its offset from UTC, such as 2026-01-31T14:05:00+01:00, not {text}") from None
+    return text
+
+
 Day = Annotated[date, BeforeValidator(_read_day)]
+Moment = Annotated[str, BeforeValidator(_read_moment)]
+"""A time, to the second or finer, ISO 8601 with the offset from UTC; empty where none is stated."""
 
 
 class TomlTable(BaseModel):

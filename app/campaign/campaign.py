@@ -1,6 +1,6 @@
 """Run or resume a campaign, from its files to its journal, in one call: for the command line and for scripts."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
@@ -158,7 +158,7 @@ def _connect(
     opened: OpenRig, plan: Plan, ask: Ask | None, host: RunHost | None, *, homing: bool = False, moves: bool = True
 ) -> Operator:
     """Connect the rig, check its axes if any `moves` (`homing` as in `check_referenced`), and return its operator."""
-    operator = operator_for(opened, plan.rig.file, ask)
+    operator = operator_for(opened, plan.rig.file, ask, samples=plan.schedule.file.samples)
     if host is not None:
         host.adopt(opened, plan.rig)
     opened.connect()
@@ -239,10 +239,12 @@ def check_way(opened: OpenRig, work: Sequence[Row]) -> None:
         raise UserError(f"on the way from beta {beta:.1f} deg, shift {shift:.1f} deg to the first row {collision}")
 
 
-def operator_for(opened: OpenRig, rig: RigFile, ask: Ask | None, *, person: bool = False) -> Operator:
+def operator_for(
+    opened: OpenRig, rig: RigFile, ask: Ask | None, *, person: bool = False, samples: Collection[str] = ()
+) -> Operator:
     """The operator of a rig: the program at a virtual rig, unless `person`; else a person, asked through `ask`.
 
-    Raises UserError for a person without `ask`.
+    The person may state a record of each of the `samples`. Raises UserError for a person without `ask`.
     """
     program: Operator | None = None
     if opened.virtual is not None:
@@ -253,4 +255,4 @@ def operator_for(opened: OpenRig, rig: RigFile, ask: Ask | None, *, person: bool
         return program
     if ask is None:
         raise UserError(f"{rig.name}: a person has to mount the samples, and this program has no way to ask one")
-    return HumanOperator(ask, program)
+    return HumanOperator(ask, program, samples)

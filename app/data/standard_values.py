@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -83,7 +84,7 @@ def _value(here: Dataset, geometry: StandardGeometry, names: str, light: str, nm
     sigma, (theta, phi) = geometry.sigma_deg, geometry.theta_phi_deg
     at_it = at_sigma(here, sigma)
     psi = float((at_it if at_it.size else here).psi_deg.max())
-    place = {"sigma_deg": sigma, "psi_deg": psi, "theta_deg": theta, "phi_deg": phi, "wavelength_nm": nm}
+    place: dict[str, Any] = {"sigma_deg": sigma, "psi_deg": psi, "theta_deg": theta, "phi_deg": phi, "wavelength_nm": nm}
     try:
         bsdf, u = here.at(**place)
     except UserError:
@@ -97,7 +98,7 @@ def _value(here: Dataset, geometry: StandardGeometry, names: str, light: str, nm
     return StandardValue(names, light, nm, sigma, float(polar), around, bsdf, COVERAGE * u, source)
 
 
-def _is_measured(at_it: Dataset, place: dict[str, float]) -> bool:
+def _is_measured(at_it: Dataset, place: dict[str, Any]) -> bool:
     try:
         return bool(at_it.select(**place).good.any())
     except UserError:

@@ -11,7 +11,8 @@ from typing import Any
 
 @dataclass(frozen=True)
 class SampleMetadata:
-    """The sample. `side` that was measured, `azimuth_mark`: what on the sample shows azimuth 0."""
+    """The sample. `side` that was measured, `azimuth_mark`: what on the sample shows azimuth 0. `picture` is the name of a file
+    and `picture_sha256` its digest; `mounted_at` a time, ISO 8601."""
 
     identifier: str = ""
     maker: str = ""
@@ -19,6 +20,12 @@ class SampleMetadata:
     side: str = ""
     azimuth_mark: str = ""
     preparation: str = ""
+    thickness_mm: float | None = None
+    note: str = ""
+    picture: str = ""
+    picture_sha256: str = ""
+    mounted_by: str = ""
+    mounted_at: str = ""
 
 
 @dataclass(frozen=True)

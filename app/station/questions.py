@@ -2,9 +2,11 @@
 
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
-from goniotwin.app.campaign.running.question import Answer, PositionGiven, Question, Reply
+from goniotwin.app.campaign.running.question import Answer, PositionGiven, Question, Reply, SampleGiven, answer_of
+from goniotwin.app.campaign.schedule.metadata import sample_record
 from goniotwin.app.errors import UserError
 from goniotwin.app.station.board import Board
 from goniotwin.app.station.messages import QuestionAsked, QuestionClosed
@@ -47,17 +49,23 @@ class Questions:
                     look()
                     continue
                 if answer is not None and answer[0] == number:
-                    given = answer[1] if isinstance(answer[1], Answer) else Answer.SET_POSITION
+                    given = answer_of(answer[1])
                     return answer[1]
             return Answer.STOP
         finally:
             self._board.publish(QuestionClosed(number, given))
 
-    def answer(self, number: int, choice: Answer, angle_deg: float | None) -> None:
+    def answer(
+        self, number: int, choice: Answer, angle_deg: float | None = None, sample: Mapping[str, Any] | None = None
+    ) -> None:
         """Take an answer to the open question, which `Wait` leaves open, as `Stop` does until the stop itself ends it.
 
-        Raises CommandRefused.
+        `sample` has the keys and values of a record, see `sample_record`. Raises CommandRefused.
         """
+        try:
+            record = sample_record(sample) if sample else None
+        except UserError as error:
+            raise CommandRefused(str(error)) from None
         with self._board.deciding() as now:
             asked = now.question
             if asked is None or asked.number != number or self._answered == number:
@@ -71,6 +79,10 @@ class Questions:
                 if refusal := axis.refusal(angle_deg):
                     raise CommandRefused(refusal)
                 reply = PositionGiven(angle_deg)
+            if record is not None:
+                if choice is not Answer.MOUNTED or not asked.question.sample:
+                    raise CommandRefused(f"{choice}: takes no record of a sample; leave it out")
+                reply = SampleGiven(record)
             if choice in (Answer.WAIT, Answer.STOP):
                 return
             self._answered = number

@@ -147,7 +147,7 @@ class Runs:
         record = RunRecord(journal, clock)
         reason, opened.guard.journal = "", str(journal.path.resolve())
         with contextlib.closing(record):
-            operator = operator_for(opened, plan.rig.file, ask, person=person)
+            operator = operator_for(opened, plan.rig.file, ask, person=person, samples=plan.schedule.file.samples)
             engine = Engine(opened.rig, plan, journal, operator, [self.listen], positions_every_s(clock), work=work)
             if person and plan.rig.simulated and not journal.event_texts(OPERATOR):
                 journal.event(clock.now(), OPERATOR, "a person is the operator of this simulated rig")

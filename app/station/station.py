@@ -9,6 +9,7 @@ import queue
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from goniotwin.app.campaign.running.events import (
     EventLogged,
@@ -143,13 +144,16 @@ class Station:
         self._check("finish_cut")
         self.runs.finish_cut()
 
-    def answer(self, question: int, choice: Answer, angle_deg: float | None = None) -> None:
+    def answer(
+        self, question: int, choice: Answer, angle_deg: float | None = None, sample: dict[str, Any] | None = None
+    ) -> None:
         """Answer the open question by its number; the first answer counts. `Stop` stops, `Wait` changes nothing.
 
-        `Set position` needs the angle at which the axis is, within its soft limits.
+        `Set position` needs the angle at which the axis is, within its soft limits. `Mounted` may have the keys and values of
+        the record of the `sample`, as in `[metadata.samples.NAME]`; `picture` is then the path of a file.
         """
         self._check("answer")
-        self._questions.answer(question, choice, angle_deg)
+        self._questions.answer(question, choice, angle_deg, sample)
         if choice is Answer.STOP:
             self.stop()
 

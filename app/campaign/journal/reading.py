@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from goniotwin.app.campaign.journal.block_sizes import DEFAULT_SIZES
 from goniotwin.app.campaign.journal.chain import Chain
+from goniotwin.app.campaign.journal.mounting import MOUNTED, read_mounting
 from goniotwin.app.campaign.row import (
     CONTRADICTION,
     MIRRORED_MARK,
@@ -32,6 +33,7 @@ from goniotwin.app.campaign.row import (
     RowKind,
     table_of_columns,
 )
+from goniotwin.app.campaign.schedule.metadata import SampleMetadataTable
 from goniotwin.app.errors import UserError
 from goniotwin.arrays import Counts, Floats, Ints
 
@@ -263,6 +265,19 @@ class JournalReader:
         with self._reading():
             found = self._db.execute("SELECT text FROM event WHERE kind = ? ORDER BY id", (kind,))
             return list(dict.fromkeys(str(text) for (text,) in found))
+
+    def sample_records(self) -> dict[str, SampleMetadataTable]:
+        """What operators have stated of samples as they mounted them, by sample; of each key what was stated last.
+
+        Who has mounted a sample belongs to the last mounting alone.
+        """
+        found: dict[str, SampleMetadataTable] = {}
+        with self._reading():
+            for (text,) in self._db.execute("SELECT text FROM event WHERE kind = ? ORDER BY id", (MOUNTED,)):
+                sample, record = read_mounting(text, str(self.path))
+                before = found.get(sample, SampleMetadataTable()).model_copy(update={"mounted_by": ""})
+                found[sample] = before.updated(record)
+        return found
 
     def events(self) -> list[tuple[float, str, str]]:
         """Time on the rig's clock, kind and text of the events of the last session, in order of time."""

@@ -8,11 +8,11 @@ from datetime import datetime
 from importlib.metadata import version
 
 from goniotwin.app.campaign.journal.reading import JournalReader
+from goniotwin.app.campaign.journal.samples import sample_record_of
 from goniotwin.app.campaign.reduction.points import Tally
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
-from goniotwin.app.campaign.schedule.metadata import SampleMetadataTable
 from goniotwin.app.formats.metadata import (
     InstrumentMetadata,
     Metadata,
@@ -50,7 +50,7 @@ def journal_metadata(
     """
     schedule, rig = settings.schedule, settings.rig
     stated = schedule.metadata
-    of_sample = stated.samples.get(sample, SampleMetadataTable())
+    of_sample = sample_record_of(journal, schedule, sample)
     instrument = nominal_instrument(rig)
     certificate = settings.certificate
     return Metadata(
@@ -63,14 +63,7 @@ def journal_metadata(
         geometry=_geometry(schedule, tally),
         method=METHOD,
         raw_data=journal.chain.statement,
-        sample=SampleMetadata(
-            of_sample.identifier or sample,
-            of_sample.maker,
-            of_sample.description,
-            of_sample.side or schedule.side,
-            of_sample.azimuth_mark,
-            of_sample.preparation,
-        ),
+        sample=SampleMetadata(**{"identifier": sample, "side": schedule.side, **of_sample.stated}),
         instrument=InstrumentMetadata(
             f"{stated.instrument} ({rig.name})" if stated.instrument else rig.name,
             f"goniotwin {version('goniotwin')}",

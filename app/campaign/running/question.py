@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
+from goniotwin.app.campaign.schedule.metadata import SampleMetadataTable
+
 
 class Answer(StrEnum):
     """Answer of the operator to a question."""
@@ -38,8 +40,23 @@ class PositionGiven:
     angle_deg: float
 
 
-Reply = Answer | PositionGiven
+@dataclass(frozen=True)
+class SampleGiven:
+    """The answer MOUNTED, with what the operator states of the sample."""
+
+    record: SampleMetadataTable
+
+
+FaultReply = Answer | PositionGiven
+Reply = FaultReply | SampleGiven
 """What a question is answered with: SET_POSITION never without its angle."""
+
+
+def answer_of(reply: Reply) -> Answer:
+    """The answer of a reply, without what was given with it."""
+    if isinstance(reply, Answer):
+        return reply
+    return Answer.SET_POSITION if isinstance(reply, PositionGiven) else Answer.MOUNTED
 
 
 @dataclass(frozen=True)
@@ -60,7 +77,8 @@ class UnreferencedAxis:
 class Question:
     """A question to the operator. `default` is the answer to a key that was pressed by accident: it changes nothing.
 
-    `device` is the one that has failed, by its name, or empty; `axis` the one that HOME and SET_POSITION refer to.
+    `device` is the one that has failed, by its name, or empty; `axis` the one that HOME and SET_POSITION refer to. `sample` is
+    the one to be mounted of which a record may be given with MOUNTED; empty of other questions.
     """
 
     title: str
@@ -69,6 +87,7 @@ class Question:
     default: Answer | None = None
     device: str = ""
     axis: UnreferencedAxis | None = None
+    sample: str = ""
 
 
 def position_refusal(axis: str, lower_deg: float, upper_deg: float, angle_deg: float) -> str:

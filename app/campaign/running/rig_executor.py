@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 
+from goniotwin.app.campaign.journal.mounting import MOUNTED, mounting_text
 from goniotwin.app.campaign.readout import READING_ATTEMPTS
 from goniotwin.app.campaign.row import CONTRADICTION, Reading, Row
 from goniotwin.app.campaign.running.events import LightChanged
@@ -67,8 +68,10 @@ class RigExecutor(RowExecutor[Pending]):
         self.wait(Until(self._clock, t))
 
     def _mount(self, sample: str) -> None:
-        self._operator.mount(sample)
+        record = self._operator.mount(sample)
         self._stop_request.check()
+        if record is not None:
+            self._log_event(MOUNTED, mounting_text(sample, record), sample)
 
     def _start_shutter(self, *, opened: bool) -> Pending:
         def start() -> Pending:

@@ -4,14 +4,18 @@ import re
 import sys
 import threading
 
-from goniotwin.app.campaign.running.question import EFFECTS, Answer, PositionGiven, Question, Reply
+from goniotwin.app.campaign.running.question import EFFECTS, Answer, PositionGiven, Question, Reply, SampleGiven, answer_of
+from goniotwin.app.campaign.schedule.metadata import sample_record
 from goniotwin.app.campaign.wording import place_text
 from goniotwin.app.cli.output import error_console, print_error
 from goniotwin.app.errors import UserError
 from goniotwin.app.station.hosting import HostedRun
 from goniotwin.app.station.messages import QuestionAsked
+from goniotwin.app.toml_file import parse_toml
 
 NO_TERMINAL = "samples are mounted and faults fixed by hand, and standard input is closed; run it in a terminal"
+RECORD = '{ thickness_mm = 1.2, note = "..." }'
+"""Typed behind Mounted: the record of a sample, as a table of TOML in one line."""
 ENCODER = "encoder"
 """Typed in place of an angle: the encoder's."""
 Place = tuple[float | None, float | None, bool]
@@ -86,10 +90,9 @@ class TerminalAsk:
         """Answer a question; one that is refused is still open, unless it was answered elsewhere."""
         number, _ = asked
         try:
-            if isinstance(reply, PositionGiven):
-                self._host.station.answer(number, Answer.SET_POSITION, reply.angle_deg)
-            else:
-                self._host.station.answer(number, reply)
+            angle = reply.angle_deg if isinstance(reply, PositionGiven) else None
+            sample = reply.record.stated if isinstance(reply, SampleGiven) else None
+            self._host.station.answer(number, answer_of(reply), angle, sample)
         except UserError as refusal:
             still = self._host.station.snapshot.question
             if still is not None and still.number == number:
@@ -115,7 +118,19 @@ def _answers(question: Question) -> list[Answer]:
 
 
 def _reply_of(line: str, question: Question, place: Place) -> Reply | None:
-    """The reply of a line: the beginning of an answer, and behind Set position an angle, or the word encoder."""
+    """The reply of a line: the beginning of an answer, and behind Set position an angle, or the word encoder.
+
+    Behind Mounted there may be the record of a sample, as RECORD. Of a wrong one, the error is printed, and it is no reply.
+    """
+    line, brace, record = line.partition("{")
+    if brace:
+        if not question.sample or _reply_of(line, question, place) is not Answer.MOUNTED:
+            return None
+        try:
+            return SampleGiven(sample_record(parse_toml(f"sample = {brace}{record}", "sample record")["sample"]))
+        except UserError as error:
+            print_error(error)
+            return None
     words = line.lower().split()
     given = words.pop() if len(words) > 1 and (words[-1] == ENCODER or not words[-1].isalpha()) else ""
     start = " ".join(words)
@@ -135,7 +150,7 @@ def _print_question(question: Question, place: Place) -> None:
     error_console().print(f"{question.title}. {question.text}", style="bold", markup=False)
     for each in _answers(question):
         error_console().print(f"  {each}: {EFFECTS[each]}", markup=False)
-    if question.axis is not None:
+    if question.axis is not None or question.sample:
         _print_choices(question, place)
 
 
@@ -145,4 +160,6 @@ def _print_choices(question: Question, place: Place) -> None:
         error_console().print(f"{question.axis.name} now: {place_text(*place)}.", markup=False, highlight=False)
     given = "ANGLE" if place[1] is None else f"ANGLE (or {ENCODER})"
     ways = [f"{each} {given}" if each is Answer.SET_POSITION else str(each) for each in _answers(question)]
+    if question.sample:
+        ways.insert(1, f"{Answer.MOUNTED} {RECORD}")
     error_console().print(f"Type {' or '.join(ways)}, or the beginning of it, then Enter.", markup=False)

@@ -9,12 +9,14 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from goniotwin.app.campaign.running.events import Positions, State, StateChanged
-from goniotwin.app.campaign.running.question import Answer, PositionGiven, Question, UnreferencedAxis
+from goniotwin.app.campaign.running.question import Answer, PositionGiven, Question, SampleGiven, UnreferencedAxis
+from goniotwin.app.campaign.schedule.metadata import SampleMetadataTable
 from goniotwin.app.cli.work.terminal import TerminalAsk
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import open_rig, parse_rig, read_rig
@@ -358,6 +360,22 @@ def test_the_terminal_answers(host: HostedRun, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(sys, "stdin", io.StringIO("\nwhat\nmounted\n"))
     assert TerminalAsk(host)(MOUNT) is Answer.MOUNTED
     assert host.station.snapshot.question is None
+
+
+def test_the_terminal_takes_the_record_of_a_sample(
+    host: HostedRun, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = 'stop { note = "x" }\nm { note = \nm { thickness_mm = "x" }\nMounted { thickness_mm = 1.2, note = "A Scratch" }\n'
+    monkeypatch.setattr(sys, "stdin", io.StringIO(lines))
+    question = replace(MOUNT, sample="x")
+    assert TerminalAsk(host)(question) == SampleGiven(SampleMetadataTable(thickness_mm=1.2, note="A Scratch"))
+    shown = capsys.readouterr().err
+    assert "sample record: thickness_mm: " in shown
+    assert "sample record: is not TOML: " in shown
+    assert 'Type Mounted or Mounted { thickness_mm = 1.2, note = "..." } or Stop' in " ".join(shown.split())
+    monkeypatch.setattr(sys, "stdin", io.StringIO('mounted { note = "x" }\n'))
+    with pytest.raises(UserError, match="standard input is closed"):  # of an etalon there is none
+        TerminalAsk(host)(MOUNT)
 
 
 def test_the_terminal_states_where_an_axis_is(host: HostedRun, monkeypatch: pytest.MonkeyPatch) -> None:

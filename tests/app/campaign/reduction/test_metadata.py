@@ -12,7 +12,7 @@ from goniotwin.app.campaign.reduction.metadata import listed_values
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import ScheduleFile, read_schedule
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats.metadata import Metadata, metadata_from_dict
+from goniotwin.app.formats.metadata import Metadata, SampleMetadata, metadata_from_dict
 from goniotwin.app.rig import read_rig
 from tests.app.campaign.reduction.grey_campaign import reduced
 from tests.conftest import REPOSITORY, SCHEDULE, SMALL, Change, Writer
@@ -41,7 +41,7 @@ def test_what_a_person_states_and_what_rig_and_journal_know_are_the_metadata(wri
         ("radiance_factor = 0.99", "radiance_factor = 0.99\ncalibrated = 2026-01-15"),
     )
     stated = tomllib.loads(STATED)["metadata"]
-    assert asdict(found.sample) == stated["samples"]["gaussian-5"]
+    assert asdict(found.sample) == {**asdict(SampleMetadata()), **stated["samples"]["gaussian-5"]}
     names = ("title", "operator", "laboratory", "environment", "licence")
     assert {name: getattr(found, name) for name in names} == {name: stated[name] for name in names}
     assert (found.source.description, found.receiver.description) == (stated["source"], stated["receiver"])
@@ -92,6 +92,13 @@ def test_a_schedule_without_metadata_has_those_of_rig_and_journal_alone(write_ri
         ('[metadata]\nopreator = "A"', r"metadata\.opreator: there is no such key; did you mean 'operator'\?"),
         ('[metadata.samples.paper]\nmaker = "A"', r"metadata\.samples: 'paper' is not among the samples; name one of them"),
         ("[metadata]\nlicence = 4", r"metadata\.licence: should be text|metadata\.licence: .*string"),
+        ("[metadata.samples.gaussian-5]\nthickness_mm = 0", r"samples\.gaussian-5\.thickness_mm: .*greater than 0"),
+        ("[metadata.samples.gaussian-5]\npicture_sha256 = 'ab'", r"samples\.gaussian-5\.picture_sha256: "),
+        (
+            "[metadata.samples.gaussian-5]\nmounted_at = 2026-01-31T14:05:00",
+            r"samples\.gaussian-5\.mounted_at: should be a time with its offset from UTC, such as .*, not 2026-01-31T14:05:00",
+        ),
+        ("[metadata.samples.gaussian-5]\nmounted_at = 'noon'", r"mounted_at: should be a time with its offset .*, not noon"),
     ],
 )
 def test_metadata_that_are_wrong_are_refused_in_one_line(write_schedule: Writer, text: str, message: str) -> None:
@@ -99,6 +106,16 @@ def test_metadata_that_are_wrong_are_refused_in_one_line(write_schedule: Writer,
     with pytest.raises(UserError, match=message) as caught:
         read_schedule(path)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("quote", ["", "'"])
+def test_a_time_is_a_date_time_of_toml_or_a_text(write_schedule: Writer, quote: str) -> None:
+    stamp = f"mounted_at = {quote}2026-01-31T14:05:00+01:00{quote}"
+    path = write_schedule(text=f"{SMALL}[metadata.samples.gaussian-5]\n{stamp}\nthickness_mm = 2\n")
+    assert read_schedule(path).file.metadata.samples["gaussian-5"].stated == {
+        "mounted_at": "2026-01-31T14:05:00+01:00",
+        "thickness_mm": 2.0,
+    }
 
 
 def test_an_earlier_schedule_is_read_as_before() -> None:

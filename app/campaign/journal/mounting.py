@@ -1,0 +1,21 @@
+"""The event of a mounting: the record of the sample as the operator has stated it, as JSON."""
+
+import json
+
+from goniotwin.app.campaign.schedule.metadata import SampleMetadataTable
+from goniotwin.app.toml_file import validate_table
+
+MOUNTED = "mounted"
+"""Kind of the event."""
+
+
+def mounting_text(sample: str, record: SampleMetadataTable) -> str:
+    """The text of the event."""
+    return json.dumps({"sample": sample, **record.stated}, ensure_ascii=False)
+
+
+def read_mounting(text: str, name: str) -> tuple[str, SampleMetadataTable]:
+    """The sample and its record of the text of an event. Raises UserError, ValueError, and what a wrong type raises."""
+    record = dict(json.loads(text))
+    sample = str(record.pop("sample"))
+    return sample, validate_table(SampleMetadataTable, record, f"{name}, mounting of {sample!r}")
