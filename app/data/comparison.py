@@ -5,7 +5,7 @@
 The directions i are those of A; where B has no value in one of them it is interpolated (interpolation.py). A direction that A
 has several times counts once, with the mean. The range of i is part of the result: the paper does not state its own. z is the
 deviation over its combined standard uncertainty, with the covariance of the two values if both are of one journal. Of a value
-of a journal whose u is above 15 % and mostly of shares of the value, the deviation is that of the logarithm (`INTERVAL_RULE`).
+of a journal whose u is above 15 % and mostly of shares of the value, the deviation is that of the logarithm (`interval_rule`).
 Chi-square has the covariance of all values of a light: a common error of the scale, which moves all z together, counts once.
 """
 

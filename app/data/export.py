@@ -8,7 +8,7 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.journal.block_sizes import BlockSizes
-from goniotwin.app.campaign.reduction.components import INTERVAL_RULE, shared_variance
+from goniotwin.app.campaign.reduction.components import ADDED, interval_rule, shared_variance
 from goniotwin.app.campaign.reduction.points import BITS, FLAGS, BsdfPoints, PointSource
 from goniotwin.app.campaign.studies.reduced_journal import ReducedJournal
 from goniotwin.app.errors import UserError
@@ -97,7 +97,7 @@ def points_of(reduced: ReducedJournal, sample: str | None, path: Path) -> tuple[
         SYMMETRY_LINES[reduced.isotropic],
         "check: mirrored, for a direction measured only to check the stated symmetry",
         "signature_share: the instrument signature's share of the signal, already subtracted; empty where not measured",
-        INTERVAL_RULE,
+        interval_rule(", ".join(sorted(ADDED))),
         ABOUT_INTERVAL,
         "field_correction: what the correction of the finite field of view has added to the logarithm of bsdf",
         "u_field_per_sr: what is left of the field of view in u_bsdf; empty where it cannot be estimated",

@@ -1,10 +1,11 @@
 """Clocks: the virtual one jumps, the real one runs."""
 
 import threading
+from datetime import datetime
 
 import pytest
 
-from goniotwin.protocols.clock import RealClock, VirtualClock
+from goniotwin.protocols.clock import RealClock, VirtualClock, local_stamp
 
 
 def test_a_virtual_clock_jumps_and_never_goes_back() -> None:
@@ -75,3 +76,13 @@ def test_a_real_clock_calls_at_a_time() -> None:
 def test_a_real_clock_does_not_run_backwards(speed: float) -> None:
     with pytest.raises(ValueError, match="speed"):
         RealClock(speed)
+
+
+@pytest.mark.parametrize("text", ["", "yesterday", "2026-13-01T00:00:00+00:00", "0001-01-01T00:00:00+14:00"])
+def test_a_text_that_is_no_time_stays_as_it_is(text: str) -> None:
+    assert local_stamp(text) == text
+
+
+def test_a_time_of_this_zone_is_the_same_time() -> None:
+    found = local_stamp("2026-01-31T14:05:00+03:00")
+    assert datetime.fromisoformat(found.replace(" UTC", "")) == datetime.fromisoformat("2026-01-31T11:05:00+00:00")

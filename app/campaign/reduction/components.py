@@ -161,11 +161,14 @@ LINEAR_LAW, LOGARITHMIC_LAW, DRAWN_LAW = "linear", "logarithmic", "drawn"
 """The intervals that a value may have, as files name them; a drawn one is by the law of an input that is not normal."""
 MOST_LOGARITHMIC = 100.0
 """A larger relative uncertainty has the interval of this one: the ends of its own are no numbers."""
-INTERVAL_RULE = (
-    f"an interval of k u is value +- k u; where u is above {100.0 * LOGARITHMIC:g} % of the value and at least half of its "
-    f"variance is of shares of the value (all components but {', '.join(sorted(ADDED))}), it is value exp(+-k u / value)"
-)
-"""The rule of `interval` in words."""
+
+
+def interval_rule(added: str) -> str:
+    """The rule of `interval` in words, with the components `added`."""
+    return (
+        f"an interval of k u is value +- k u; where u is above {100.0 * LOGARITHMIC:g} % of the value and at least half of its "
+        f"variance is of shares of the value (all components but {added}), it is value exp(+-k u / value)"
+    )
 
 
 def mostly_added(components: Components) -> Flags:

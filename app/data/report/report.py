@@ -16,8 +16,8 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.reduction.components import ADDED, interval_rule, words_of
 from goniotwin.app.campaign.reduction.components import COVERAGE as INTERVAL_U
-from goniotwin.app.campaign.reduction.components import INTERVAL_RULE, words_of
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.lit_hole import in_one_line
 from goniotwin.app.campaign.reduction.points import FLAGS
@@ -192,7 +192,7 @@ def report_html(
         reflectances=_spread(reflectances, MOST_LIGHTS),
         all_reflectances=len(reflectances),
         closure=_closure(evaluation.closure),
-        rule=INTERVAL_RULE,
+        rule=interval_rule("; ".join(map(words_of, sorted(ADDED)))),
         interval_u=INTERVAL_U,
         notes=dataset.notes,
         findings=dataset.findings,
