@@ -277,10 +277,9 @@ def predicted(journal: Path) -> Dataset:
 
 def _of_one_curve(panel: Panel) -> Panel:
     """A panel with one curve in the colour of measured values."""
-    parts = {
-        name: tuple(replace(each, colour="points") for each in getattr(panel, name)) for name in ("series", "marks", "arrows")
-    }
-    return replace(panel, **parts)
+    series = tuple(replace(each, colour="points") for each in panel.series)
+    marks = tuple(replace(each, colour="points") for each in panel.marks)
+    return replace(panel, series=series, marks=marks, arrows=tuple(replace(each, colour="points") for each in panel.arrows))
 
 
 def _second_curve(found: LightComparison, plane: Ints, x: Floats) -> Curve:

@@ -39,7 +39,7 @@ def surface(drawn: Map) -> Surface | None:
     x, y, values, shown = coloured_places(drawn)
     _, first = np.unique(np.round(np.stack([x, y]), 4), axis=1, return_index=True)
     order = first[np.argsort(~shown[first], kind="stable")]
-    x, y, values, shown = (each[order] for each in (x, y, values, shown))
+    (x, y, values), shown = (each[order] for each in (x, y, values)), shown[order]
     if order.size <= 3 or min(np.ptp(x), np.ptp(y)) <= 1.0:
         return None
     corners = Triangulation(x, y).triangles

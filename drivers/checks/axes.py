@@ -264,7 +264,7 @@ AXIS_CHECKS = (
         "global parameter 68 has the rig file's heartbeat_s",
         _heartbeat,
     ),
-    DeviceCheck("reply times", "within two reply timeouts: a reply may come at the second attempt", _reply_times, of_each_part=True),
+    DeviceCheck("reply times", "within two reply timeouts (two attempts)", _reply_times, of_each_part=True),
     DeviceCheck(
         "switches and flags at rest",
         "no limit switch active, no error flag",

@@ -191,8 +191,8 @@ class _Work:
             assert self._results is not None
             return Answered(number, self._results.show(wanted))
         if isinstance(wanted, Check):
-            with Journal.open(self._path) as journal:
-                return Checked(number, tuple(verify_journal(evaluate_journal(journal))))
+            with Journal.open(self._path) as opened:
+                return Checked(number, tuple(verify_journal(evaluate_journal(opened))))
         if wanted is not None:
             self._results = None  # its memory is free for the next one
             self._path, self.steps = wanted, open_in_parts(wanted)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QSize, Qt, Signal, Slot
+from PySide6.QtGui import QStandardItemModel
 from PySide6.QtWidgets import QComboBox, QGridLayout, QHBoxLayout, QLabel, QSplitter, QStackedWidget, QVBoxLayout
 
 from goniotwin.app.desktop import model
@@ -287,6 +288,7 @@ class ResultsScreen(Screen):
         self.heading.setToolTip("\n".join(opened.notes))
         self._mark.setVisible(opened.simulated)
         entries = self.comparison.model()
+        assert isinstance(entries, QStandardItemModel)
         for at in (1, 2):
             entries.item(at).setEnabled(self._is_journal and opened.simulated)
         self._show_buttons()

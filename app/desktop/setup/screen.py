@@ -148,11 +148,12 @@ class SetupScreen(Screen):
         self.incidence.setAccessibleName("Incidence of the directions that are shown")
         self.incidence.activated.connect(lambda _at: self._show_map())
         left, middle, self._right = QWidget(), QWidget(), QWidget()
-        for column, parts in (
+        columns_of: list[tuple[QWidget, tuple[QWidget, ...]]] = [
             (left, (self.schedule, self.form)),
             (middle, (self._text, self._error)),
             (self._right, (self.incidence, self._facts)),
-        ):
+        ]
+        for column, parts in columns_of:
             layout = QVBoxLayout(column)
             layout.setContentsMargins(0, 0, 6, 0)
             for part in parts:
@@ -167,8 +168,8 @@ class SetupScreen(Screen):
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         columns = self._columns = QSplitter(Qt.Orientation.Horizontal)
         columns.setChildrenCollapsible(False)
-        for part in (scroll, middle, self._right):
-            columns.addWidget(part)
+        for each in (scroll, middle, self._right):
+            columns.addWidget(each)
         outer = QHBoxLayout(self)
         outer.setContentsMargins(0, 0, 0, 0)
         outer.addWidget(columns)

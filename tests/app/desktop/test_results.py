@@ -227,6 +227,7 @@ def test_pictures_a_comparison_and_the_checks_are_chosen_by_keys(
 ) -> None:
     opened(qtbot, screen, journal)
     qtbot.waitUntil(lambda: screen.checked is not None, timeout=READY_MS)
+    assert screen.checked is not None
     assert screen.heading.text().endswith(screen.checked.summary)
     assert screen.pictures is not None
     _, plot, lobe = screen.pictures
@@ -252,7 +253,8 @@ def test_pictures_a_comparison_and_the_checks_are_chosen_by_keys(
     assert f"; second {second:.4g} 1/sr, z = {z:+.2f}; " in screen.texts[0].text()
     click(screen.check_button)
     (box,) = [each for each in screen.findChildren(TextBox) if each.isVisible()]
-    assert "energy of gaussian-5: " in box.findChild(QTextBrowser).toPlainText()
+    (shown,) = box.findChildren(QTextBrowser)
+    assert "energy of gaussian-5: " in shown.toPlainText()
     box.close()
 
 
