@@ -6,7 +6,7 @@ replaced by the nearest one, with a note. Signed polar angles are positive on th
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -21,7 +21,7 @@ from goniotwin.app.campaign.schedule.editing import literal
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.schedule.grids import evenly_spaced
 from goniotwin.app.campaign.wording import duration_text
-from goniotwin.app.errors import UserError
+from goniotwin.app.errors import UserError, printable
 from goniotwin.app.rig import RigDescription
 from goniotwin.drivers.motion import within_limits
 from goniotwin.twin.optics.geometry.coordinates import (
@@ -198,7 +198,8 @@ def make_schedule(
     if over_s > 0.0:
         notes = (*notes, f"Even with the coarsest steps it takes {duration_text(over_s)} more than {longest_h:g} h.")
     made = f"Made for {rig.file.name}: {len(plan.rows)} rows, about {duration_text(plan.seconds)}."
-    return MadeSchedule("".join(f"# {each}\n" for each in (f"{chosen.title}.", made, *notes)) + text, plan, notes)
+    heading = "".join(f"# {printable(each)}\n" for each in (f"{chosen.title}.", made, *notes))
+    return MadeSchedule(heading + text, plan, notes)
 
 
 class _Geometry:
@@ -215,16 +216,17 @@ class _Geometry:
         self.sigmas = [each for each in template.sigma_deg if within_limits(rig.axes.sigma, each)]
         mono = rig.monochromator
         self.wavelengths = [each for each in template.wavelength_nm if mono.lowest_nm <= each <= mono.highest_nm]
+        self.spacing_deg = min((b - a for a, b in pairwise(sorted(self.polar))), default=0.0)
         lacking = {
             "photodiodes on the arc that sees this light": self.polar,
             "sigma of it within the limits of the axis": self.sigmas,
             "beta of it within the limits of the axis": self.betas(0.0),
+            "shift 0 within the limits of the axis": self.shift_grid(1),
             "wavelength of it within the range of the monochromator": self.wavelengths,
         }
         for what, found in lacking.items():
             if not found:
                 raise UserError(f"{description.name}: has no {what}; choose another template or another rig")
-        self.spacing_deg = min((b - a for a, b in pairwise(sorted(self.polar))), default=0.0)
         views = [(sigma, each) for sigma in self.sigmas for each in (template.views or {}).get(sigma, ())]
         reached = [self._nearest(each) for _, each in views]
         self.shifts = sorted({shift for shift, _ in reached}, key=lambda each: (abs(each), each)) or [0.0]
@@ -270,10 +272,10 @@ class _Geometry:
     def shift_grid(self, parts: int) -> list[float]:
         """Shifts from one photodiode to the next in parts, as far as the axis reaches."""
         every = evenly_spaced(0.0, self.spacing_deg / parts, parts - 1).tolist()
-        return [each for each in every if within_limits(self.rig.axes.shift, each)]
+        return [each for each in dict.fromkeys(every) if within_limits(self.rig.axes.shift, each)]
 
 
-def _text(geometry: _Geometry, steps: Steps, values: dict[str, object], relative_u: float, longest_h: float) -> str:
+def _text(geometry: _Geometry, steps: Steps, values: Mapping[str, object], relative_u: float, longest_h: float) -> str:
     """A schedule with the steps of a template."""
     template, rig = geometry.template, geometry.rig
     betas = geometry.betas(steps.beta_deg)
