@@ -33,7 +33,12 @@ def new(
     sample: Annotated[
         str | None, typer.Option("--sample", metavar="NAME", help="Name of the sample.", show_default=False)
     ] = None,
-    etalon: Annotated[str, typer.Option("--etalon", metavar="NAME", help="Name of the reference standard.")] = "etalon",
+    etalon: Annotated[
+        str | None,
+        typer.Option(
+            "--etalon", metavar="NAME", help="Name of the reference standard. The default is `etalon`.", show_default=False
+        ),
+    ] = None,
     target_u: Annotated[
         float | None,
         typer.Option(

@@ -59,6 +59,13 @@ def test_in_a_terminal_the_missing_answers_are_asked_for(
     assert "Name of the sample (the virtual rig has gaussian-5, opal, white-tile):" in asked
 
 
+def test_for_transmitted_light_the_reference_standard_is_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", Terminal("white-tile\n"))
+    answers = ("--template", "transmitted", "--sample", "opal", "--target-u", "0.02", "--longest-h", "1")
+    run_new(tmp_path / "opal.toml", "--rig", RIG, *answers)
+    assert read_schedule(tmp_path / "opal.toml").file.etalon == "white-tile"
+
+
 def test_without_a_terminal_missing_answers_are_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO())
     with pytest.raises(UserError, match="new: --rig, --sample: missing; add this, or run the command in a terminal"):

@@ -14,7 +14,7 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.formats.file import check_writable, write_file
 from goniotwin.app.rig import read_rig
 
-USUAL_U, USUAL_H = 0.01, 4.0
+USUAL_U, USUAL_H, USUAL_ETALON = 0.01, 4.0, "etalon"
 """The answers of Enter."""
 
 
@@ -23,7 +23,7 @@ def new_schedule(
     rig: Path | None,
     template: str | None,
     sample: str | None,
-    etalon: str,
+    etalon: str | None,
     target_u: float | None,
     longest_h: float | None,
     force: bool,
@@ -47,7 +47,9 @@ def new_schedule(
         for name, each in TEMPLATES.items():
             error_console().print(f"  {name:12}{each.title}", markup=False)
     template = _asked("Template", template, str)
-    choose_template(template)
+    if choose_template(template).light == "transmitted" and sys.stdin.isatty():
+        etalon = _asked("Reference standard, white on both sides", etalon, str, USUAL_ETALON)
+    etalon = etalon or USUAL_ETALON
     twin = description.file.twin
     known = "" if twin is None else f" (the virtual rig has {', '.join(sorted({*twin.samples} - {etalon}))})"
     sample = _asked(f"Name of the sample{known}", sample, str)
