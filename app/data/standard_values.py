@@ -57,8 +57,8 @@ class StandardValues:
 def standard_values(dataset: Dataset) -> StandardValues:
     """The values of the only sample at all standard geometries, and in the specular direction of each measured sigma.
 
-    A value is that of `Dataset.at`, where it accepts the geometry: nothing is extrapolated, or taken from beside a direction
-    that is blocked. Of transmitted light, it is in the direction straight through.
+    A value is that of `Dataset.at` at a measured sigma, where it accepts the direction: nothing is extrapolated, or taken from
+    beside a direction that is blocked. Of transmitted light, it is in the direction straight through.
     """
     values: list[StandardValue] = []
     missing: list[str] = []
@@ -83,16 +83,15 @@ def _value(here: Dataset, geometry: StandardGeometry, names: str, light: str, nm
     """The value at a geometry and a wavelength; None where there is none to be trusted around."""
     sigma, (theta, phi) = geometry.sigma_deg, geometry.theta_phi_deg
     at_it = at_sigma(here, sigma)
-    psi = float((at_it if at_it.size else here).psi_deg.max())
+    if not at_it.size:  # between incidences nothing is certified
+        return None
+    psi = float(at_it.psi_deg.max())
     place: dict[str, Any] = {"sigma_deg": sigma, "psi_deg": psi, "theta_deg": theta, "phi_deg": phi, "wavelength_nm": nm}
     try:
-        bsdf, u = here.at(**place)
+        bsdf, u = at_it.at(**place)
     except UserError:
         return None
     source = MEASURED if _is_measured(at_it, place) else INTERPOLATED
-    if not at_it.size:
-        there = here.sigma_deg[here.good]
-        source += f", sigma {there[there < sigma].max():g} to {there[there > sigma].min():g}"
     polar, azimuth = map(round_deg, zenith_and_azimuth(from_specular(sigma, theta, phi)))
     around = float(wrap_azimuth(azimuth + psi)) if polar else 0.0
     return StandardValue(names, light, nm, sigma, float(polar), around, bsdf, COVERAGE * u, source)

@@ -20,6 +20,7 @@ from goniotwin.app.campaign.planning.poses import overlapping_step_deg
 from goniotwin.app.campaign.schedule.editing import literal
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.schedule.grids import evenly_spaced
+from goniotwin.app.campaign.schedule.standard_geometries import ASPECULAR, COLOUR, GLOSS, StandardGeometry
 from goniotwin.app.campaign.wording import duration_text
 from goniotwin.app.errors import UserError, printable
 from goniotwin.app.rig import RigDescription
@@ -33,10 +34,6 @@ from goniotwin.twin.optics.geometry.coordinates import (
     round_deg,
 )
 
-ASPECULAR_DEG = (-15.0, 15.0, 25.0, 45.0, 75.0, 110.0)
-"""Aspecular angles of multi-angle colour measurement at an incidence of 45 deg, positive towards the normal (ASTM E2539)."""
-GLOSS_DEG = (20.0, 60.0, 85.0)
-"""Incidences of gloss measurement (ISO 2813)."""
 SPECTRUM_NM, ONE_NM = tuple(range(400, 701, 20)), (550,)
 NOISE_SHARE = 3.0
 """The target over the noise of a row: so large a noise adds 5 % to an uncertainty that is otherwise as large as the target."""
@@ -81,6 +78,14 @@ class Template:
     near_deg: float = 10.0
 
 
+def _views(geometries: Sequence[StandardGeometry]) -> dict[float, tuple[float, ...]]:
+    """The signed polar angles of geometries, by incidence."""
+    views: dict[float, tuple[float, ...]] = {}
+    for each in geometries:
+        views[each.sigma_deg] = (*views.get(each.sigma_deg, ()), each.sigma_deg - each.aspecular_deg)
+    return views
+
+
 SINGLE = (Steps(repeats=3, longest_s=10.0), Steps(longest_s=10.0), Steps(), Steps(longest_s=0.5))
 HEMISPHERE = (
     Steps(2.0, 5, 10),
@@ -98,15 +103,15 @@ TEMPLATES = {
         "Colour of a matt sample: light at 45 deg seen from the normal (45:0), and light at the normal seen at 45 deg (0:45)",
         (0.0, 45.0),
         SINGLE,
-        {0.0: (45.0,), 45.0: (0.0,)},
+        _views(COLOUR),
         SPECTRUM_NM,
         (90.0, SPECULAR_AZIMUTH_DEG),
     ),
     "aspecular": Template(
-        f"Colour of an effect coating, at 45 deg: aspecular angles {', '.join(f'{each:g}' for each in ASPECULAR_DEG)} deg",
+        f"Colour of an effect coating, in {len(ASPECULAR)} aspecular directions at an incidence of 45 deg",
         (45.0,),
         SINGLE,
-        {45.0: tuple(45.0 - each for each in ASPECULAR_DEG)},
+        _views(ASPECULAR),
         SPECTRUM_NM,
     ),
     "plane": Template(
@@ -142,7 +147,7 @@ TEMPLATES = {
     ),
     "gloss": Template(
         "Specular directions of gloss measurement (20, 60 and 85 deg), with their surroundings",
-        GLOSS_DEG,
+        tuple(each.sigma_deg for each in GLOSS),
         (
             Steps(20.0, 1, 10, 1.0, longest_s=5.0),
             Steps(20.0, 1, 10, 2.0),
@@ -150,7 +155,7 @@ TEMPLATES = {
             Steps(20.0),
             Steps(20.0, longest_s=0.5),
         ),
-        {each: (each,) for each in GLOSS_DEG},
+        _views(GLOSS),
         beta_deg=(160.0, SPECULAR_AZIMUTH_DEG),
         near_deg=6.0,
     ),
@@ -188,7 +193,7 @@ def make_schedule(
         )
     geometry = _Geometry(chosen, rig)
     for steps in chosen.steps:
-        values = {"name": f"{sample}, {template}", "samples": [sample], "etalon": etalon}
+        values: dict[str, object] = {"name": f"{sample}, {template}", "samples": [sample], "etalon": etalon}
         text = _text(geometry, steps, values, relative_u, longest_h)
         plan = make_plan(parse_schedule(text, name), rig)
         over_s = plan.seconds - 3600.0 * longest_h
