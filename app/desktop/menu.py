@@ -15,6 +15,7 @@ from goniotwin.app.desktop.theme import Scheme
 from goniotwin.app.desktop.view import MainView
 
 OPEN_SCHEDULE_KEY, OPEN_RIG_KEY, QUIT_KEY, HELP_KEY, FULL_SCREEN_KEY = "Ctrl+O", "Ctrl+Shift+O", "Ctrl+Q", "F1", "F11"
+SAVE_KEY = "Ctrl+S"
 SILENT = "off"
 SCHEMES: tuple[tuple[str, Scheme | None], ...] = (("&Follow the system", None), ("&Light", "light"), ("&Dark", "dark"))
 
@@ -70,6 +71,7 @@ class Menus(QObject):
             (self._open_rig, rig.open_button),
             (self._again, rig.again_button),
             (self._open_schedule, schedule.open_button),
+            (self._save, schedule.save_button),
             (self._save_in, schedule.folder_button),
         ):
             action.setEnabled(button.isEnabled())
@@ -79,6 +81,7 @@ class Menus(QObject):
     def _fill_file(self, menu: QMenu) -> None:
         rig, schedule = self._view.rig, self._view.schedule
         self._open_schedule = self._add(menu, "&Open schedule…", schedule.open_button.click, OPEN_SCHEDULE_KEY)
+        self._save = self._add(menu, "Sa&ve the schedule", schedule.save_button.click, SAVE_KEY)
         self._recent_schedules = self._recent(menu, "Recent &schedules", "schedule")
         menu.addSeparator()
         self._open_rig = self._add(menu, "Open &rig…", rig.open_button.click, OPEN_RIG_KEY)
@@ -180,6 +183,7 @@ def keys_text(view: MainView) -> str:
         (PAUSE_KEY, "Pause after the row, or resume; before a run, resume an unfinished campaign of the schedule"),
         (FINISH_KEY, "Finish the cut in progress, then end the run"),
         (OPEN_SCHEDULE_KEY, "Open a schedule file"),
+        (SAVE_KEY, "Save the schedule"),
         (OPEN_RIG_KEY, "Open a rig file"),
         *((f"Ctrl+{number}", f"Screen {screen.title}") for number, screen in enumerate(view.screens, start=1)),
         ("Tab, Shift+Tab", "the next or previous control; arrow keys within a list"),

@@ -36,6 +36,12 @@ class ScheduleForm(QWidget):
         self._layout.setVerticalSpacing(3)
         self._layout.setRowWrapPolicy(QFormLayout.RowWrapPolicy.WrapLongRows)
 
+    @property
+    def sample(self) -> str:
+        """The first sample of the schedule; empty without one."""
+        field = self.fields.get("samples")
+        return field.text().partition(",")[0] if isinstance(field, QLineEdit) else ""
+
     def complete(self) -> None:
         """Make the fields, which the schedule's tables declare."""
         from goniotwin.app.campaign.schedule.form import (
@@ -85,7 +91,9 @@ class ScheduleForm(QWidget):
 class NewSchedule(QDialog):
     """The questions of a new schedule, as `goniotwin new` asks them. It blocks nothing; `chosen` has a `TemplateChoice`."""
 
-    def __init__(self, parent: QWidget, samples: tuple[str, ...], chosen: "Callable[[TemplateChoice], None]") -> None:
+    def __init__(
+        self, parent: QWidget, samples: tuple[str, ...], sample: str, chosen: "Callable[[TemplateChoice], None]"
+    ) -> None:
         # Loads the planner, which the window has by then.
         from goniotwin.app.campaign.planning.templates import TEMPLATES
         from goniotwin.app.desktop.model.draft import TemplateChoice
@@ -101,7 +109,7 @@ class NewSchedule(QDialog):
             choice.setEditable(True)
             choice.addItems(samples)
         self.etalon.setCurrentText("etalon")
-        self.sample.setCurrentText(next((each for each in samples if each != "etalon"), "sample"))
+        self.sample.setCurrentText(sample or next((each for each in samples if each != "etalon"), "sample"))
         self.relative_u, self.longest_h = QLineEdit(TARGET_U), QLineEdit(LONGEST_H)
         self._error = QLabel()
         self._error.setWordWrap(True)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QSize, Qt, QTimer, Signal, Slot
-from PySide6.QtGui import QColor, QFontDatabase, QKeySequence, QTextCursor
+from PySide6.QtGui import QColor, QFontDatabase, QTextCursor
 from PySide6.QtWidgets import (
     QComboBox,
     QFrame,
@@ -40,6 +40,7 @@ if TYPE_CHECKING:  # the window shows itself before planner and pyqtgraph are lo
     from goniotwin.app.station.messages import RigOpened
 
 UNSAVED = "the schedule has changes that are not saved: save it first (Ctrl+S)"
+READ_AGAIN = "the schedule that was saved is being read"
 NEW_NAME = "new.toml"
 EXAMPLES = examples.FOLDER
 """What came with the program is not written to."""
@@ -83,7 +84,6 @@ class SchedulePanel(QGroupBox):
         ):
             button.setAccessibleName(name)
             button.setToolTip(name)
-        self.save_button.setShortcut(QKeySequence(QKeySequence.StandardKey.Save))
         self.buttons = (self.open_button, self.folder_button)
         every = (self.new_button, self.open_button, self.save_button, self.copy_button, self.folder_button)
         fill(self, [self._name, self._path, self._size, self._folder], every)
@@ -133,7 +133,7 @@ class SetupScreen(Screen):
         self._rig: RigOpened | None = None
         self._samples: tuple[str, ...] = ()
         self._path: Path | None = None
-        self._saved = ""
+        self._saved, self._planned = "", ""
         self._text = QPlainTextEdit()
         self._text.setAccessibleName("Text of the schedule file")
         self._text.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
@@ -248,6 +248,7 @@ class SetupScreen(Screen):
         if plan is None or (self.unsaved and plan.schedule.text != self.text):
             return
         self._path, self._saved = Path(plan.schedule.name), plan.schedule.text
+        self._planned = self._saved
         if self.text != self._saved:
             self._text.setPlainText(self._saved)
         self._take_text()
@@ -259,7 +260,7 @@ class SetupScreen(Screen):
         self.schedule.save_button.setEnabled(self.unsaved)
         self.schedule.set_unsaved(self._path, unsaved=self.unsaved)
         self.schedule.copy_button.setEnabled(bool(self.text))
-        self.unsaved_changed.emit(UNSAVED if self.unsaved else "")
+        self.unsaved_changed.emit(UNSAVED if self.unsaved else READ_AGAIN if self.text != self._planned else "")
         self._pause.start()
 
     @Slot(str)
@@ -325,7 +326,8 @@ class SetupScreen(Screen):
             if self._planner is not None:
                 self._planner.make(choice, Path(NEW_NAME), self._rig)
 
-        self.leave(lambda: NewSchedule(self.window(), self._samples, chosen).show())
+        measured = self.form.sample
+        self.leave(lambda: NewSchedule(self.window(), self._samples, measured, chosen).show())
 
     def leave(self, then: Callable[[], object]) -> None:
         """Do what takes the text away: at once, or after a question where it is not saved. Blocks nothing."""
