@@ -45,6 +45,17 @@ UNITS = {
     "k": "K",
 }
 """By the end of a key, the unit of its value."""
+WORDS = {
+    "string": ("text", "texts"),
+    "number": ("number", "numbers"),
+    "integer": ("whole number", "whole numbers"),
+    "boolean": ("true or false", "true or false"),
+}
+"""By type of JSON Schema, the words for one value and for several."""
+CHOICES = ("kind", "model")
+"""Keys that decide which keys a table has."""
+FEW = 3
+"""Keys of a table that is shown in one line."""
 
 
 class Generated(SphinxDirective):
@@ -69,14 +80,45 @@ def keys(kind: str) -> str:
     places: dict[str, list[str]] = {}
     for place, name in places_of(schema, tables):
         places.setdefault(name, []).append(place)
-    parts = ["## Keys outside tables", about(schema), key_table(schema, places)]
-    for name, found in places.items():
-        first, *others = dict.fromkeys(found)
-        constants = [f'`{key} = "{value["const"]}"`' for key, value in tables[name]["properties"].items() if "const" in value]
-        title = f"`{first}`" + (f" with {constants[0]}" if constants else "")
-        also = f"The same keys are in {', '.join(f'`{each}`' for each in others)}." if others else ""
-        parts += [f"({anchor(kind, name)})=", f"## {title}", also, about(tables[name]), key_table(tables[name], places)]
-    return "\n\n".join(each for each in parts if each).replace("(#", f"(#{kind}-")
+    links = {name: Link(tables[name], found, f"#{anchor(kind, name)}") for name, found in places.items()}
+    parts = ["## Keys outside tables", about(schema), key_table(schema, links)]
+    for name, link in links.items():
+        table = key_table(tables[name], links)
+        parts += [f"({anchor(kind, name)})=", f"## {link.title}", link.others, about(tables[name]), table]
+    return "\n\n".join(each for each in parts if each)
+
+
+class Link:
+    """A table of a file on its page: the places that have it, and its names in links."""
+
+    def __init__(self, table: Any, places: list[str], address: str) -> None:
+        self.places = [*dict.fromkeys(places)]
+        self.address = address
+        properties = table["properties"]
+        forms = {key: properties[key] for key in CHOICES if key in properties}
+        chosen = {key: each.get("const", each.get("enum", [""])[0]) for key, each in forms.items()}
+        self.choice = next((f'`{key} = "{chosen[key]}"`' for key in chosen if key == "model" or "const" in forms[key]), "")
+        """The key that decides for this table among several."""
+        self.small = ""
+        if len(self.places) > 1 and len(properties) <= FEW and set(properties) == set(table.get("required", ())):
+            self.small = f"`{{ {', '.join(properties)} }}`"
+
+    @property
+    def title(self) -> str:
+        return self.small or f"`{self.places[0]}`" + (f" with {self.choice}" if self.choice else "")
+
+    @property
+    def others(self) -> str:
+        """A sentence on the places that the title does not name."""
+        places = ", ".join(f"`{each}`" for each in self.places[0 if self.small else 1 :])
+        return f"These keys are in {places}." if self.small else f"The same keys are in {places}." if places else ""
+
+    def text(self, *, among: bool) -> str:
+        """A link to the table, by its place; `among` others by the key that decides for it."""
+        name = self.small or f"`{self.places[0]}`"
+        if among:
+            name = self.choice or f"no `{CHOICES[0]}`"
+        return f"[{name}]({self.address})"
 
 
 def anchor(kind: str, name: str) -> str:
@@ -95,7 +137,7 @@ def places_of(schema: Any, tables: Any, place: str = "") -> Iterator[tuple[str, 
 def references(value: Any, mark: str = "") -> list[tuple[str, str]]:
     """The tables that a value can be, each with what it is in: an array, an object whose keys are names, or nothing."""
     if "$ref" in value:
-        return [(value["$ref"].rpartition("/")[2], mark)]
+        return [(name_of(value), mark)]
     found = [each for one in value.get("oneOf", ()) for each in references(one, mark)]
     for inner, kind in (("items", "array"), ("additionalProperties", "object")):
         if isinstance(value.get(inner), dict):
@@ -103,20 +145,25 @@ def references(value: Any, mark: str = "") -> list[tuple[str, str]]:
     return found
 
 
+def name_of(reference: Any) -> str:
+    return str(reference["$ref"].rpartition("/")[2])
+
+
 def about(table: Any) -> str:
-    """The sentences of a table's description that are not in the meaning of a key."""
-    taken = " ".join(each.get("description", "") for each in table["properties"].values())
-    return " ".join(each for each in SENTENCE_END.split(table["description"]) if each not in taken).replace("$", r"\$")
+    """The sentences of a table's description that are not the meaning of a key as well."""
+    meanings = " ".join(each.get("description", "") for each in table["properties"].values())
+    own = [each for each in SENTENCE_END.split(table["description"]) if each not in meanings]
+    return " ".join(own).replace("$", r"\$")
 
 
-def key_table(table: Any, places: dict[str, list[str]]) -> str:
+def key_table(table: Any, links: dict[str, Link]) -> str:
     required = set(table.get("required", ()))
     lines = ["| key | value | default | meaning |", "|---|---|---|---|"]
     for key, value in table["properties"].items():
         default = "required" if key in required else shown(value["default"]) if "default" in value else ""
-        if references(value) and key not in required:
+        if isinstance(value.get("default"), dict):
             default = ""
-        cells = (f"`{key}`", kind_of(key, value, places), default, value.get("description", ""))
+        cells = (f"`{key}`", kind_of(key, value, links), default, value.get("description", ""))
         lines.append("| " + " | ".join(each.replace("|", r"\|").replace("\n", " ") for each in cells) + " |")
     return "\n".join(lines)
 
@@ -125,27 +172,52 @@ def shown(value: object) -> str:
     return f"`{json.dumps(value, ensure_ascii=False)}`"
 
 
-def kind_of(key: str, value: Any, places: dict[str, list[str]]) -> str:
-    """What a value is, in words: its type or choices, bounds and unit."""
-    if found := references(value):
-        linked = [f"[`{places[name][0]}`](#{name.lower()})" for name, _ in dict.fromkeys(found)]
-        further = [kind_of(key, each, places) for each in value.get("oneOf", ()) if not references(each)]
-        return "table " + " or ".join([*linked, *further])
+def kind_of(key: str, value: Any, links: dict[str, Link], *, many: bool = False) -> str:
+    """What a value is, in words: its type or choices, bounds and unit; of several forms each. `many` of them are in a list."""
     if "oneOf" in value or "anyOf" in value:
-        return " or ".join(dict.fromkeys(kind_of(key, each, places) for each in value.get("oneOf", value.get("anyOf"))))
+        return forms_of(key, value.get("oneOf", value.get("anyOf")), links, many=many)
+    if "$ref" in value:
+        return f"{'tables' if many else 'table'} {links[name_of(value)].text(among=False)}"
     if "enum" in value:
         return ", ".join(shown(each) for each in value["enum"])
     if "const" in value:
         return shown(value["const"])
     if value.get("type") == "array":
-        inner = kind_of(key, value["items"], places) if "items" in value else "values"
-        return f"list of: {inner}"
+        return f"list of {kind_of(key, value['items'], links, many=True)}"
+    if value.get("type") == "object":
+        inner = value.get("additionalProperties") or next(iter(value.get("patternProperties", {}).values()), {"not": {}})
+        return "table" if "not" in inner else f"{kind_of(key, inner, links, many=True)}, by name"
     if value.get("format") == "date":
         return "date"
-    words = {"string": "text", "number": "number", "integer": "whole number", "boolean": "true or false", "object": "table"}
     bounds = " and ".join(f"{sign} {value[name]:g}" for name, sign in BOUNDS.items() if name in value)
-    unit = next((each for end, each in UNITS.items() if key.endswith(f"_{end}")), "") if value.get("type") == "number" else ""
-    return ", ".join(each for each in (f"{words[value['type']]} {bounds}".strip(), unit) if each)
+    return ", ".join(each for each in (f"{WORDS[value['type']][many]} {bounds}".strip(), unit_of(key, value)) if each)
+
+
+def forms_of(key: str, forms: list[Any], links: dict[str, Link], *, many: bool) -> str:
+    """The forms of a value in words: tables that a key chooses from; or lists first, and then what may stand alone."""
+    tables = [links[name_of(each)] for each in forms if "$ref" in each]
+    if len(tables) > 1:
+        return f"{'tables' if many else 'table'} with {' or '.join(each.text(among=True) for each in tables)}"
+    if many:
+        # Tables last: a link is long. A unit in brackets, because commas separate the forms.
+        plain = [f"{WORDS[each['type']][True]} ({unit_of(key, each)})".replace(" ()", "") for each in forms if "type" in each]
+        each_of = [*plain, *(f"tables {each.text(among=False)}" for each in tables)]
+        return f"{', of '.join(each_of)}, or of both"
+    lists = [each for each in forms if each.get("type") == "array"]
+    named = {name for each in lists for name, _ in references(each)}
+    first = [kind_of(key, each, links) for each in lists]
+    alone = [
+        "one such table" if "$ref" in each and name_of(each) in named else kind_of(key, each, links)
+        for each in forms
+        if each not in lists
+    ]
+    joined = "; or " if named else " or "
+    return joined.join(dict.fromkeys([*first, *alone] if named else [*alone, *first]))
+
+
+def unit_of(key: str, value: Any) -> str:
+    """The unit of a number, by the end of its key."""
+    return next((each for end, each in UNITS.items() if key.endswith(f"_{end}")), "") if value.get("type") == "number" else ""
 
 
 def commands() -> str:
