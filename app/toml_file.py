@@ -11,7 +11,7 @@ import math
 import re
 import secrets
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import is_dataclass
 from datetime import date, datetime
 from functools import cache
@@ -28,6 +28,9 @@ TABLE = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False
 KEY_FIRST = re.compile(r"([a-z]\w*(?:\.\w+)*): ")
 """The key that the message of a rule between several keys begins with."""
 SENTENCE_END = re.compile(r"(?<=\.)\s+(?=[^a-z])")
+FIRST_KEYS = re.compile(r"`\w+`(?:(?:, and |, | and | or )`\w+`)*(:\s+)?")
+"""The keys that a sentence begins with, and the colon after which it says what they are."""
+FIRST_TABLE = re.compile(r"`\[+[\w.]+\]+`:\s+")
 EXCEPTIONS = re.compile(r"\s*Raises ValueError.*?\.(?=\s|$)", re.DOTALL)
 MOST_BYTES = 1_000_000
 """A list of a hundred thousand numbers fits in."""
@@ -170,28 +173,50 @@ def validate_table(table: type[Model], content: dict[str, Any], name: str) -> Mo
 def json_schema(table: Any, title: str) -> dict[str, Any]:
     """JSON Schema (2020-12) of a file, with the docstrings of the tables as descriptions of tables and keys.
 
-    A key has the sentences that name it. One that is a table has the first sentence of that table, and those that name it
-    only where another key is such a table too.
+    `key_sentences` gives each its own. A key without any, whose value is a table, has the first sentence of that table.
     """
     schema = _reader(table).json_schema(schema_generator=_FileSchema)
     tables = (schema, *schema["$defs"].values())
-    for each in tables:
-        each["description"] = " ".join(EXCEPTIONS.sub("", each["description"]).split())
-    for each in tables:
-        sentences = SENTENCE_END.split(each["description"])
-        own = {key: _first_sentences(value, schema["$defs"]) for key, value in each["properties"].items()}
+    sentences = [key_sentences(each["description"], [*each["properties"]]) for each in tables]
+    for each, own in zip(tables, sentences, strict=True):
+        each["description"] = " ".join(own[""] or each["description"].split())
+    for each, own in zip(tables, sentences, strict=True):
         for key, value in each["properties"].items():
-            about = [sentence for sentence in sentences if f"`{key}`" in sentence]
-            if own[key]:
-                about = [*own[key], *(about if [*own.values()].count(own[key]) > 1 else ())]
-            if about:
+            if about := own[key] or _first_sentences(value, schema["$defs"]):
                 value["description"] = " ".join(about)
     return {"$schema": _FileSchema.schema_dialect, **schema, "title": title}
 
 
+def key_sentences(text: str, keys: Sequence[str]) -> dict[str, list[str]]:
+    """The sentences of a table's docstring by key, and those of the table itself under "".
+
+    A sentence that begins with keys is theirs, and so are the sentences after it, up to the next one that begins with keys or
+    to the end of the paragraph. Key or table before a colon, as in "`speed_deg_s`: the greatest speed", are left out. A key
+    that begins no sentence has those of the table that name it.
+    """
+    found: dict[str, list[str]] = {"": [], **{key: [] for key in keys}}
+    for paragraph in re.split(r"\n\s*\n", text.strip()):
+        named = [""]
+        for sentence in SENTENCE_END.split(" ".join(paragraph.split())):
+            meaning = _capitalized(sentence[title.end() :]) if (title := FIRST_TABLE.match(sentence)) else sentence
+            if (first := FIRST_KEYS.match(sentence)) and (known := set(re.findall(r"\w+", first[0])) & set(keys)):
+                named = [key for key in keys if key in known]
+                meaning = _capitalized(sentence[first.end() :]) if first[1] else meaning
+            for key in named if meaning else ():
+                found[key] += [] if meaning in found[key] else [meaning]
+    for key in keys:
+        found[key] = found[key] or [each for each in found[""] if f"`{key}`" in each]
+    return found
+
+
+def _capitalized(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
 def _first_sentences(value: Any, tables: Any) -> list[str]:
     """The first sentences of the tables that a key can be, each once; none for a key that is no table."""
-    names = [each["$ref"].rpartition("/")[2] for each in value.get("oneOf", [value]) if "$ref" in each]
+    inner = value.get("items") or value.get("additionalProperties") or value
+    names = [each["$ref"].rpartition("/")[2] for each in inner.get("oneOf", [inner]) if "$ref" in each]
     return [*dict.fromkeys(SENTENCE_END.split(tables[name]["description"])[0] for name in names)]
 
 
@@ -222,8 +247,17 @@ class _FileSchema(GenerateJsonSchema):
         return super().get_defs_ref((name.partition("[")[0], mode))  # of a table, without the kinds that can be in it
 
     def dataclass_schema(self, schema: Any) -> dict[str, Any]:
-        documented = dict.fromkeys(inspect.getdoc(each) or "" for each in schema["cls"].__mro__ if is_dataclass(each))
-        return {**super().dataclass_schema(schema), "description": "\n".join(documented)}
+        return {**super().dataclass_schema(schema), "description": _documented(schema["cls"], is_dataclass)}
+
+    def model_schema(self, schema: Any) -> dict[str, Any]:
+        described = _documented(schema["cls"], lambda each: each is not TomlTable and issubclass(each, TomlTable))
+        return {**super().model_schema(schema), "description": described}
+
+
+def _documented(table: type, is_table: Callable[[type], bool]) -> str:
+    """The docstrings of a table and of those that it extends, as paragraphs, without the exceptions of Python."""
+    documented = dict.fromkeys(inspect.getdoc(each) or "" for each in table.__mro__ if is_table(each))
+    return EXCEPTIONS.sub("", "\n\n".join(documented))
 
 
 _reader: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)

@@ -43,7 +43,10 @@ can give. Up to 5 there is room for the noise of few values: with 3 degrees of f
 
 @dataclass(frozen=True)
 class AlignmentTable:
-    """The alignment of this rig: the name of the `file` that `goniotwin align` has written, beside the rig file."""
+    """The alignment of this rig: its misalignments as far as they are known.
+
+    `file`: name of the file that `goniotwin align` has written, beside the rig file.
+    """
 
     file: str
 

@@ -37,8 +37,8 @@ class Controller:
 class AxesTable(Generic[AnyAxis]):
     """The axes and their motion controllers.
 
-    `kind` and `port` of this table are of the controller of all axes that have no `kind` and `port` of their own. `gamma` and
-    `sigma` turn the sample, `beta` turns the arc, and `shift` is the arc's polar shift.
+    `gamma`: turns the sample about its normal. `sigma`: turns the mirror unit, and with it the incidence. `beta`: turns the arc
+    about the vertical axis. `shift`: shifts the arc along itself, which makes fine polar angles.
     """
 
     gamma: AnyAxis

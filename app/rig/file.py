@@ -63,12 +63,13 @@ NO_TABLE = Annotated[dict[str, Any], WithJsonSchema({"not": {}})]
 
 @dataclass(frozen=True)
 class SimulatedTable:
-    """The mark of a simulated rig.
+    """The mark of a simulated rig. `goniotwin serve --write-rig` writes the keys, because the file of a served rig has no
+    `[twin]`.
 
-    `seed` is the seed of the virtual rig's random numbers. `goniotwin serve --write-rig` writes the other keys, because the
-    file of a served rig has no [twin]. `model` is the hash of the virtual rig's model. `old_model` is the first version of that
-    hash, which older journals have. `speed` is the simulation speed. `server` is the key of the process that serves the rig.
-    The program mounts samples through the simulation `control_port`. `control_token` is the token that this port requires.
+    `seed`: seed of the virtual rig's random numbers. `model`: hash of the virtual rig's model. `old_model`: first version of
+    that hash, which older journals have. `speed`: simulation speed: seconds of the rig's time in one second. `server`: key of
+    the process that serves the rig. `control_port`: the simulation control port, through which the program mounts samples.
+    `control_token`: token that this port requires.
     """
 
     seed: int = 1
@@ -100,16 +101,21 @@ class DeviceAddress:
 
 @dataclass(frozen=True)
 class GeometryTable(Dimensions):
-    """The nominal dimensions; directions within `shadow_margin_deg` of a blocked one count as blocked by the mirror unit."""
+    """The nominal dimensions of the instrument, in mm and degrees.
+
+    `shadow_margin_deg`: directions within this angle of a blocked one also count as blocked by the mirror unit.
+    """
 
     shadow_margin_deg: Annotated[float, Ge(0.0), Le(10.0)] = 0.2
 
 
 @dataclass(frozen=True)
 class SampleUnitTable:
-    """The sample holder. `signature_uncertainty` is the relative standard uncertainty of the instrument signature with a sample
-    mounted, because it is measured without: the sample blocks a part of it, and scatters light onto the frames. The default
-    is for frames 0.5 mm off the sample (2 mm: 0.5); for frames that lie on the sample 0.01 is more than enough.
+    """The sample holder.
+
+    `signature_uncertainty`: relative standard uncertainty of the instrument signature. The signature is measured with no sample
+    mounted; a sample blocks a part of it, and scatters light onto the frames. The default is for frames 0.5 mm off the sample.
+    Use 0.5 for 2 mm, and 0.01 for frames that lie on the sample.
     """
 
     signature_uncertainty: Fraction = Width(0.3)
@@ -140,10 +146,12 @@ def check_geometry(value: str | None) -> None:
 
 @dataclass(frozen=True)
 class EtalonTable:
-    """The etalon's certificate: `radiance_factor` (1 is the ideal diffuser) and its `relative_uncertainty` (standard).
+    """The certificate of the etalon: one value for all wavelengths and directions.
 
-    `geometry` is that of its measurement, such as "8:d": the value is then taken for all directions, and `shape` is the
-    uncertainty of the etalon's deviation from the ideal diffuser, at the normal. `calibrated` is the day of the calibration.
+    `radiance_factor`: its certified radiance factor; 1 is the ideal diffuser. `relative_uncertainty`: relative standard
+    uncertainty of the radiance factor. `geometry`: geometry of the certificate's measurement, such as "8:d". The value is taken
+    for all directions, and the uncertainty then includes `shape`. `shape`: relative standard uncertainty of the etalon's
+    deviation from the ideal diffuser, at the normal. `calibrated`: day of the calibration.
     """
 
     radiance_factor: Positive = 1.0
@@ -174,12 +182,10 @@ AnyTwin = TypeVar("AnyTwin", bound=TwinTable[Any, Any, Any], default=TwinTable)
 @with_config(TABLE)
 @dataclass(frozen=True, kw_only=True)
 class RigFile(Generic[AnyAxes, AnyMonochromator, AnyPhotodiodes, AnyMonitor, AnyUncertainty, AnyTwin]):
-    """All tables of the rig file.
+    """A rig file: devices, nominal dimensions, certificate and uncertainties of a rig. The key `kind` of a device decides which
+    other keys its table has.
 
-    `name` is the name of the rig, as journals and reports show it. The operator describes the devices (`axes`, `monochromator`,
-    `photodiodes`, `monitor`), the nominal `geometry`, the `sample_unit`, the `etalon`, the `light`, and the `uncertainty` of
-    them. An `alignment` reduces that uncertainty. `simulated` marks a simulated rig, and `twin` describes the virtual rig. The
-    `kind` of a device decides which keys its table has.
+    `name`: name of the rig, as journals and reports show it. `axes`: the axes and their motion controllers.
     """
 
     name: str

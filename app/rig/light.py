@@ -10,13 +10,13 @@ from goniotwin.keys import Share
 
 @dataclass(frozen=True)
 class LightTable:
-    """What the monochromator gives, and the mirrors make of its polarisation.
+    """The light of the rig: the monochromator's band, and the polarisation.
 
-    `bandwidth_nm` is the full width at half maximum of the monochromator's triangular band. Where it is given, values are
-    corrected for the band; where it is not, they have the effect of 5 nm in their uncertainty. `polarisation` is the degree of
-    the light's linear polarisation before the mirrors, and `azimuth_deg` the angle of its plane from the vertical, towards the
-    side of growing sigma; without it the light counts as unpolarised there. `mirror_s` and `mirror_p` are the reflectances of
-    one mirror for light polarised across its plane of incidence and in it; the default is aluminium's at 45 deg.
+    `bandwidth_nm`: full width at half maximum of the monochromator's triangular band. Values are corrected for it. Without it,
+    their uncertainty includes the effect of a band of 5 nm. `polarisation`: degree of linear polarisation of the light before
+    the mirrors. `azimuth_deg`: angle of the plane of polarisation from the vertical, towards the side of growing sigma.
+    `mirror_s`: reflectance of one mirror for light polarised across its plane of incidence. The default is aluminium's at 45
+    deg. `mirror_p`: reflectance of one mirror for light polarised in its plane of incidence.
     """
 
     bandwidth_nm: Annotated[float, Ge(0.0), Le(100.0)] | None = None

@@ -37,7 +37,10 @@ NETWORK_REPLY_TIMEOUT_S = 0.25
 
 @dataclass(frozen=True, kw_only=True)
 class MonochromatorTable(MonochromatorSettings):
-    """The monochromator of this `kind`, at the serial line `port`."""
+    """The monochromator, at a serial line.
+
+    `kind`: model of the monochromator: a Newport Cornerstone. `port`: its serial line, such as "/dev/ttyUSB0" or "COM4".
+    """
 
     kind: Literal["cornerstone"]
     port: str
@@ -45,7 +48,11 @@ class MonochromatorTable(MonochromatorSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class PhotodiodesTable(PhotodiodeSettings):
-    """The photodiodes and their converters; `units` are the addresses of the converter modules."""
+    """The photodiodes and their converters.
+
+    `units`: addresses of the converter modules, one for each eight channels: "HOST:PORT" for Modbus TCP, "rtu:PORT?unit=3" for
+    Modbus RTU.
+    """
 
     units: Annotated[tuple[str, ...], MinLen(1)]
 
@@ -58,7 +65,11 @@ class PhotodiodesTable(PhotodiodeSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class MonitorTable(MonitorSettings):
-    """The monitor of this `kind`, at the address `usb`."""
+    """The monitor, on USB.
+
+    `kind`: model of the instrument: a Thorlabs PM100D. `usb`: its vendor, product and serial number, such as
+    "1313:8078:P0012345".
+    """
 
     kind: Literal["pm100d"]
     usb: str
@@ -66,7 +77,11 @@ class MonitorTable(MonitorSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class TmclAxesTable(AxesTable[AnyAxis], TmclSettings):
-    __doc__ = AxesTable.__doc__
+    """Axes that Trinamic modules turn; each of them may have a controller of its own instead.
+
+    `kind`: kind of the controller of all axes without one of their own: Trinamic modules. `port`: serial line of this
+    controller.
+    """
 
     kind: Literal["tmcl"]
     port: str
@@ -74,7 +89,10 @@ class TmclAxesTable(AxesTable[AnyAxis], TmclSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class TmclAxisTable(AxisSettings, TmclSettings):
-    """An axis with a motion controller of its own: its `kind` and `port`."""
+    """An axis with a motion controller of its own.
+
+    `kind`: kind of this controller: Trinamic modules. `port`: serial line of this controller.
+    """
 
     kind: Literal["tmcl"]
     port: str

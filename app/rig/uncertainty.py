@@ -11,12 +11,12 @@ from goniotwin.keys import LATER, MEASURED, Origin, Width, origin_of
 from goniotwin.twin.plant import Disturbances
 
 Table = TypeVar("Table")
-KEYS = "A key in deg or mm is the half width of a rectangular distribution, every other one a standard"
+KEYS = "A key in deg or mm is the half width of a rectangular distribution. Every other one is a standard"
 
 
 @dataclass(frozen=True)
 class UncertaintyTable:
-    """The uncertainties of the inputs of a rig, asked by input; without keys, all defaults."""
+    """Uncertainties of the rig's inputs."""
 
     def width(self, each: Input) -> float:
         """The uncertainty as the file states it: a half width of an input in deg or mm, else a standard uncertainty."""

@@ -29,9 +29,11 @@ class MonitorDescription(Protocol):
 
 @dataclass(frozen=True)
 class MonitorSettings:
-    """The instrument of the monitor photodiode: range `range_a`, rate `samples_per_s`, `relative_uncertainty` of one reading.
+    """The instrument of the monitor photodiode.
 
-    `wavelength_nm` is the wavelength at which it gives power. `dialect` is a key of monitor.DIALECTS.
+    `range_a`: largest current of its range. `samples_per_s`: samples of the current in a second. `relative_uncertainty`:
+    relative standard uncertainty of one reading. `wavelength_nm`: wavelength for which it is set to give power. `dialect`: its
+    commands: those of a Thorlabs PM100D, or of a Keysight B2980.
     """
 
     range_a: Positive = 500e-9

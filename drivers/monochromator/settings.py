@@ -23,10 +23,13 @@ TINY_NM = 1e-6
 
 @dataclass(frozen=True)
 class OrderFilter:
-    """Order-sorting filter `name`: its `position` in the wheel, and wavelengths from `from_nm` (included) to `to_nm` for it.
+    """An order-sorting filter, and the wavelengths for which it is used.
 
-    `to_nm` is included if no other band begins there. The filter transmits from `cut_on_nm` on; without `cut_on_nm`, as for
-    an empty position, it is assumed to block nothing. Raises ValueError for a band without wavelengths, or a blocked one.
+    `position`: its position in the wheel. `name`: its name in messages. `from_nm`: first wavelength, included. `to_nm`: last
+    wavelength, included if no other band begins there. `cut_on_nm`: wavelength from which on the filter transmits. Without it,
+    as for an empty position, the filter is assumed to block nothing.
+
+    Raises ValueError for a band without wavelengths, or a blocked one.
     """
 
     position: WheelPosition
@@ -122,13 +125,15 @@ class MonochromatorDescription(Protocol):
 
 @dataclass(frozen=True)
 class MonochromatorSettings:
-    """The monochromator and its times; `filter_s` is the time of the filter wheel from one position to the next.
+    """The monochromator's range, and the durations of what it does.
 
-    `port` has the `baudrate`. Wavelengths are from `lowest_nm` to `highest_nm`. The grating turns by `slew_nm_per_s` and rests
-    after `slew_settle_s`; `shutter_s` and `grating_s` are the times of the shutter and of a change of the grating;
-    `slit_um_per_s` is the speed of the slits. `tolerance_nm` is the largest deviation of a grating at rest from its target.
-    With `filters` the wheel turns with the wavelength; without filters it does not turn. Raises ValueError for filters whose
-    bands overlap or leave a gap.
+    `baudrate`: speed of the serial line. `lowest_nm`: shortest wavelength. `highest_nm`: longest wavelength. `slew_nm_per_s`:
+    speed of the grating. `slew_settle_s`: time until the grating rests after its motion. `shutter_s`: duration of opening or
+    closing the shutter. `filter_s`: time in which the filter wheel turns by one position. `grating_s`: duration of a change of
+    the grating. `slit_um_per_s`: speed of the slits, in micrometres per second. `tolerance_nm`: largest deviation of a grating
+    at rest from its target. `filters`: the order-sorting filters. Without them the wheel is never turned.
+
+    Raises ValueError for filters whose bands overlap or leave a gap.
     """
 
     baudrate: Count = 9600

@@ -36,10 +36,14 @@ def move_seconds(distance: Floats | float, speed: float, acceleration: float, de
 
 @dataclass(frozen=True)
 class Homing:
-    """A reference search: its `mode` by Trinamic's numbers (1 to 8, plus 64 or 128), and the angle of the reference.
+    """The reference search of an axis.
 
-    It searches at `speed_deg_s`, then finds the switch at `switch_speed_deg_s`, and fails after `longest_s`. Without
-    `angle_deg` the reference is at microstep 0 of the axis. Raises ValueError for an unknown mode.
+    `mode`: number of the search in Trinamic's manuals: 1 to 8, or one of 1 to 4 plus 64, or one of 5 to 8 plus 128.
+    `speed_deg_s`: speed of the search. `switch_speed_deg_s`: speed at which the switch is then found. `angle_deg`: angle of the
+    axis at the reference; without it the angle at microstep 0. `longest_s`: longest duration of the search; after it the search
+    has failed.
+
+    Raises ValueError for an unknown mode.
     """
 
     mode: int
@@ -57,23 +61,33 @@ class Homing:
 
 @dataclass(frozen=True)
 class AxisSettings:
-    """The nominal properties of an axis. `module` and `motor` are its address; `gear` is in motor turns per turn of the axis.
+    """The nominal properties of an axis.
 
-    `sense` is +1 if positive microsteps turn the axis to greater angles, else -1; microstep 0 is at `zero_offset_deg`.
-    With a backlash every move arrives from the side `approach_from`, for which the zero offset holds, if necessary after an
-    overshoot. The motor is stopped by the limit switches (`switches`), by a deviation of the encoder (`max_deviation_deg`), or
-    by a stall above `stall_speed_deg_s`; 0 is off. `encoder_counts` per turn of the motor are written to the module if given
-    (*). `encoder_tolerance_deg` is the permitted difference of counter and encoder at rest (0 is off; the default is 0.05 deg
-    plus the backlash).
+    `motor`: number of the motor on its module. `gear`: motor turns per turn of the axis. `lower_deg`: lower soft limit.
+    `upper_deg`: upper soft limit. `speed_deg_s`: greatest speed of a move. `acceleration_deg_s2`: acceleration and deceleration
+    of a move. `sense`: +1 if positive microsteps turn the axis to greater angles, else -1. `zero_offset_deg`: angle of the axis
+    at microstep 0. `module`: address of the motor's module.
 
-    `lower_deg` and `upper_deg` are the soft limits; moves have `speed_deg_s`, `acceleration_deg_s2` and rest after
-    `settling_s`. The motor has `full_steps` per turn and `microsteps` per full step, `run_current` and, after `power_down_s` at
-    rest, `standby_current`, of 255. With `encoder` the axis is read back. `swap_switches`, `right_polarity` and `left_polarity`
-    are the wiring of the limit switches; with `soft_stop` they stop the motor with a ramp. `backlash_deg` is the play. `homing`
-    is the reference search; with `homing_required` the axis is unreferenced from each connection until it is homed.
+    `full_steps`: full steps in a turn of the motor. `microsteps`: microsteps in a full step. `run_current`: current of the
+    moving motor; 255 is the largest that the module gives. `standby_current`: current of the motor at rest; 255 is the largest
+    as well. `power_down_s`: time at rest after which the motor has the standby current. `settling_s`: time after a move until
+    the axis rests.
 
-    `power_up_at_reference`: after power-up or a reset of the controller the axis is at microstep 0, kept there by a parking
-    position or a brake. Without it the axis is then unreferenced, and does not move until it is homed or its position is set.
+    `encoder`: whether the position is read back from an encoder. `encoder_counts`: encoder counts in a turn of the motor, which
+    are written to the module. Without it the module keeps its own number. `max_deviation_deg`: deviation of encoder and counter
+    at which the module stops the motor; 0 is off. `stall_speed_deg_s`: speed above which the module stops the motor if it
+    stalls; 0 is off.
+
+    `switches`: whether the limit switches stop the motor. `swap_switches`: whether left and right limit switch are exchanged.
+    `right_polarity`: polarity of the right limit switch; 1 inverts it. `left_polarity`: polarity of the left limit switch; 1
+    inverts it. `soft_stop`: whether a limit switch stops the motor with a ramp.
+
+    `backlash_deg`: play of the gear. With it every move arrives from one side, if necessary after an overshoot.
+    `approach_from`: side from which every move arrives if there is backlash. The zero offset holds for it. `homing_required`:
+    whether the axis is unreferenced from each connection until it is homed. `power_up_at_reference`: whether the axis is at
+    microstep 0 after power-up or a reset of the controller, kept there by a parking position or a brake. Otherwise it is then
+    unreferenced, and does not move until it is homed or its position is set. `encoder_tolerance_deg`: largest difference of
+    counter and encoder at rest; 0 is off. By default it is 0.05 deg plus the backlash.
 
     Raises ValueError for limits that are not in order, and for two contradicting references.
     """

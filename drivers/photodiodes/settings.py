@@ -18,17 +18,17 @@ TCP_EXCHANGE_S = 4.0e-4
 
 @dataclass(frozen=True)
 class PhotodiodeSettings:
-    """The converters, their amplifiers, and the polar angles of the photodiodes on the two arcs at shift 0.
+    """The converters, their amplifiers, and the angles of the photodiodes on the two arcs. Channels are numbered through the
+    upper arc first.
 
-    The angles are `upper_deg` and `lower_deg`, the nominal gains `gains_v_per_a` with a relative `gain_uncertainty`. `kind` is
-    the model of the converters, `range_code` their input range (by the code of this model, or that of the 6000 series), and
-    `raw_format` that of their registers, which is configured on the module: `unsigned`, or `twos-complement` for an ADAM-4117.
-    `settling_s` is the time in which the amplifiers settle.
-
-    Channels are numbered through the upper arc first. A module makes `conversions_per_s` for all its channels, so that each
-    channel is converted once per `period_s`. After a change of gain or pose the first reading follows after `wait_s`.
-    An ADAM-4117 has no outputs, so its amplifiers have one fixed gain. `exchange_s` is the duration of one request; without it
-    that of the model (`request_s`).
+    `upper_deg`: polar angles of the photodiodes on the upper arc, at shift 0, in the order of their channels. `lower_deg`:
+    polar angles of the photodiodes on the lower arc, at shift 0. `gains_v_per_a`: nominal gains of the amplifiers, the lowest
+    first. An ADAM-4117 has no outputs to select a gain, and so has one. `kind`: model of the converters. `gain_uncertainty`:
+    relative standard uncertainty of each gain. `range_code`: input range of the converters, by the code of this model or of the
+    6000 series. `conversions_per_s`: conversions that a module makes in a second, for all of its channels together.
+    `settling_s`: time in which the amplifiers settle after a change of gain or pose. `exchange_s`: duration of one request;
+    without it that of the model. `raw_format`: number format of the registers, as it is configured on the module. Only an
+    ADAM-4117 may have "twos-complement".
 
     Raises ValueError for an unknown range, gains that do not ascend, and gains that the model cannot select.
     """

@@ -90,7 +90,7 @@ def test_the_rig_file_has_its_keys_with_bounds_and_defaults() -> None:
         "minimum": 0,
         "exclusiveMaximum": 1,
         "default": 0.01,
-        "description": "`etalon_stain`: stain on the etalon.",
+        "description": "Stain on the etalon.",
     }
     assert off == {**stated, "default": 0.0}
     table = rig(STATED).file.uncertainty

@@ -28,7 +28,7 @@ from goniotwin.app.rig import file as rig_file
 from goniotwin.app.rig.inputs import inputs
 from goniotwin.app.rig.kinds import register, unregister
 from goniotwin.app.simulation.tolerances.study import StudyFile
-from goniotwin.app.toml_file import json_schema, validate_table
+from goniotwin.app.toml_file import json_schema, key_sentences, validate_table
 from goniotwin.drivers import Homing
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin import optics
@@ -82,7 +82,7 @@ def test_the_schemas_are_json_schema_2020_12_with_descriptions() -> None:
             assert [key for key, value in each["properties"].items() if "description" not in value] == [], each["title"]
     axis = SCHEMAS["rig"]["$defs"]["AxisSettings"]["properties"]["gear"]
     assert axis == {"type": "number", "exclusiveMinimum": 0, "description": axis["description"]}
-    assert "motor turns per turn of the axis" in axis["description"]
+    assert axis["description"] == "Motor turns per turn of the axis."
 
 
 @pytest.mark.parametrize("kind", FILES)
@@ -176,15 +176,29 @@ def test_the_schema_refuses_a_twin_of_no_kind_and_of_none_that_is_registered() -
     assert not schema.is_valid(as_json(content))
 
 
+def test_a_key_has_its_sentences_and_those_after_them() -> None:
+    text = """`[stop]`: a table. It is `last` named here.
+
+    `first`: one key, beside `second`. It goes on.
+    `second` and `third` share a sentence. `Other`: is no key.
+
+    The table again."""
+    assert key_sentences(text, ["first", "second", "third", "last"]) == {
+        "": ["A table.", "It is `last` named here.", "The table again."],
+        "first": ["One key, beside `second`.", "It goes on."],
+        "second": ["`second` and `third` share a sentence.", "`Other`: is no key."],
+        "third": ["`second` and `third` share a sentence.", "`Other`: is no key."],
+        "last": ["It is `last` named here."],
+    }
+
+
 def test_a_key_that_is_a_table_has_the_first_sentence_of_its_table() -> None:
     schema = SCHEMAS["rig"]
     described = {key: value["description"] for key, value in schema["properties"].items()}
-    assert described["monitor"] == "The monitor of this `kind`, at the address `usb`."
+    assert described["monitor"] == "The monitor, on USB."
     assert described["axes"] == "The axes and their motion controllers."
     assert len(set(described.values())) == len(described)
-    gear = schema["$defs"]["TmclAxesTable"]["properties"]["beta"]["description"]
-    assert gear.startswith("The nominal properties of an axis. ")
-    assert "`beta` turns the arc" in gear
+    assert schema["$defs"]["TmclAxesTable"]["properties"]["beta"]["description"] == "Turns the arc about the vertical axis."
     assert [name for name in schema["$defs"] if "goniotwin" in name] == []
 
 

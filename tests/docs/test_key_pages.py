@@ -1,14 +1,20 @@
-"""The pages of keys: a value is shown in all the forms that it has."""
+"""The pages of keys: each key has a meaning of its own in short sentences, and its value is shown in the forms that it has."""
 
 import importlib.util
 import re
+from collections import Counter
 from types import ModuleType
+from typing import Any
 
 import pytest
 
+from goniotwin.app.toml_file import SENTENCE_END, json_schema
 from tests.docs.snippets import DOCS
+from tests.docs.words import LONGEST, prose
 
 KINDS = ["rig", "schedule", "tolerances"]
+MOST_SHARED = 5
+"""Keys of all files without a sentence of their own; there are none now. Tilts about x and y may share one."""
 GRID = "list of numbers (deg), of tables [`{ start, stop, step }`](#schedule-gridrange), or of both; or one such table"
 
 
@@ -23,9 +29,36 @@ def reference() -> ModuleType:
     return module
 
 
+def tables(reference: ModuleType, kind: str) -> dict[str, Any]:
+    """The tables of a file, with the file itself, by name."""
+    schema = json_schema(reference.TABLES[kind](), kind)
+    return {kind: schema, **schema["$defs"]}
+
+
+def sentences(described: Any) -> set[str]:
+    return set(SENTENCE_END.split(described["description"]))
+
+
 def rows(page: str, key: str) -> list[list[str]]:
     """The rows of a key in the tables of a page, as cells: key, value, default and meaning."""
     return [row.strip("| ").split(" | ") for row in page.splitlines() if row.startswith(f"| `{key}` |")]
+
+
+def test_few_keys_share_all_their_sentences_with_another_key(reference: ModuleType) -> None:
+    shared = []
+    for kind in KINDS:
+        for name, table in tables(reference, kind).items():
+            used = Counter(each for value in table["properties"].values() for each in sentences(value))
+            own = {key: [used[each] for each in sentences(value)] for key, value in table["properties"].items()}
+            shared += [f"{name}.{key}" for key, counts in own.items() if min(counts) > 1]
+    assert len(shared) <= MOST_SHARED, shared
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_sentence_about_a_key_or_a_table_is_long(kind: str, reference: ModuleType) -> None:
+    for name, table in tables(reference, kind).items():
+        for described in (table, *table["properties"].values()):
+            assert prose(described["description"]).long == [], (name, LONGEST)
 
 
 @pytest.mark.parametrize("key", ["sigma_deg", "gamma_deg", "beta_deg", "shift_deg"])

@@ -81,7 +81,10 @@ class TmclLine:
 
 @dataclass(frozen=True, kw_only=True)
 class FurtherTmclLine(AxisController):
-    """A TMCL line of its own for some of the axes, `axes`."""
+    """A further line of TMCL modules, for some of the axes.
+
+    `axes`: names of the axes that it turns.
+    """
 
     kind: ModuleKind = field()  # without the default of the line that every rig has
     axes: tuple[str, ...]

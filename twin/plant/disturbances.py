@@ -70,11 +70,12 @@ class Disturbance(Protocol):
 
 @dataclass(frozen=True)
 class Disturbances:
-    """How far the virtual rig is off, drawn once from its seed; 0 is not at all. A key's metadata have its `disturbance`.
+    """How far the virtual rig is off; 0 is not at all. The values are drawn once from its seed.
 
-    `etalon` is the name of the sample that is mounted as etalon, and `etalon_years` is the time since its calibration;
-    `second_standard` and `second_years` are those of a second standard, which is off by values of its own. `turned` is the
-    name under which the etalon itself is mounted once more. Mounted are all of them as an etalon is.
+    `etalon`: name of the sample that is the etalon. `etalon_years`: years since the calibration of the etalon.
+    `second_standard`: name of the sample that is a second standard, which is off by values of its own. `second_years`: years
+    since the second standard's calibration. `turned`: name under which the etalon itself is mounted once more. All three are
+    mounted as an etalon is.
     """
 
     etalon: str = "etalon"
@@ -88,7 +89,7 @@ class Disturbances:
 
     @property
     def widths(self) -> dict[str, tuple[Disturbance, float]]:
-        """The disturbances with their half widths or standard deviations, by key."""
+        """The disturbances with their half widths or standard deviations, by key: a field has its own as metadata."""
         known = {each.name: each.metadata.get("disturbance") for each in fields(self)}
         return {key: (each, getattr(self, key)) for key, each in known.items() if each is not None}
 

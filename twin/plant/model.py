@@ -41,13 +41,16 @@ TRIANGLE = tuple(
 
 @dataclass(frozen=True)
 class Mechanics:
-    """One axis: motor `motor` turns it by `sense` * 360 deg / (`full_steps` * `gear`) per full step, starting at `zero_deg`.
+    """The real properties of one axis. One full step turns it by `sense * 360 deg / (full_steps * gear)`.
 
-    `module` is the address of the motion module with that motor. `backlash_deg` is the play: driven downwards, the axis is
-    higher by this angle than driven upwards. A limit switch is closed at and beyond its angle, `lower_switch_deg` or
-    `upper_switch_deg`. The home switch is closed from `home_deg` over `home_width_deg` upwards in each turn. None: there is no
-    such switch. The `encoder` is mounted on the axis; it has `encoder_counts` per turn of the motor and an eccentricity of
-    `encoder_error_deg`.
+    `motor`: number of the motor on its module. `gear`: motor turns per turn of the axis. `sense`: +1 if positive steps turn the
+    axis to greater angles, else -1. `zero_deg`: angle at step 0. `full_steps`: full steps in a turn of the motor. `encoder`:
+    whether an encoder is mounted on the axis. `module`: address of the motion module with the motor. `backlash_deg`: the play:
+    driven downwards, the axis is higher by this angle than driven upwards. `lower_switch_deg`: angle at and below which the
+    lower limit switch is closed; without it there is none. `upper_switch_deg`: angle at and above which the upper limit switch
+    is closed; without it there is none. `home_deg`: angle from which the home switch is closed upwards, in each turn; without
+    it there is none. `home_width_deg`: range over which the home switch is closed. `encoder_counts`: encoder counts in a turn
+    of the motor. `encoder_error_deg`: eccentricity of the encoder: the amplitude of its error over a turn.
     """
 
     motor: MotorNumber
@@ -73,15 +76,18 @@ class Mechanics:
 
 @dataclass(frozen=True)
 class LightSource:
-    """Light from the arc to the sample: `radiance` (W m^-2 sr^-1 nm^-1) in `band_nm`; `throughput` of it reaches the sample.
+    """Light from the arc of the lamp to the sample.
 
-    With the `band` "triangle" it has all wavelengths of a triangular band, which is `band_nm` wide at half its height; with
-    "line" it has the one that is set. `spectrum` has pairs (wavelength in nm, relative radiance). `drift_per_hour`, `flicker`
-    and `wander`, relative, belong to the lamp: all detectors and the monitor see the same.
+    `radiance`: radiance of the arc in W m^-2 sr^-1 nm^-1. `band_nm`: width of the monochromator's band, at half its height.
+    `band`: "triangle" has all wavelengths of a triangular band; "line" has only the one that is set. `throughput`: fraction of
+    the light that reaches the sample. `drift_per_hour`: drift of the lamp, relative. `flicker`: relative standard deviation of
+    the lamp's fast noise. `wander`: relative standard deviation of the lamp's slow noise. All detectors and the monitor see the
+    same noise.
 
-    `polarisation` is the degree of the monochromator's linear polarisation, and `azimuth_deg` its plane, from the vertical
-    towards the side of growing sigma. `mirror_s` and `mirror_p` are a mirror's reflectances across its plane of incidence and
-    in it; of these only the quotient counts, beside `mirror_reflectance`.
+    `polarisation`: degree of linear polarisation of the monochromator's light. `azimuth_deg`: angle of the plane of
+    polarisation from the vertical, towards the side of growing sigma. `mirror_s`: reflectance of a mirror across its plane of
+    incidence. Only its ratio to `mirror_p` counts, beside `mirror_reflectance`. `mirror_p`: reflectance of a mirror in its
+    plane of incidence.
     """
 
     radiance: Positive = 2.0e3
@@ -91,6 +97,7 @@ class LightSource:
     spectrum: tuple[tuple[float, float], ...] = field(
         default=((380.0, 0.75), (450.0, 0.95), (550.0, 1.0), (650.0, 0.95), (780.0, 0.9)), init=False
     )
+    """Pairs of a wavelength in nm and the relative radiance there."""
     drift_per_hour: float = 0.0
     flicker: Fraction = 5.0e-4
     flicker_period_s: float = field(default=0.01, init=False)
@@ -120,10 +127,11 @@ class LightSource:
 
 @dataclass(frozen=True)
 class Photodiodes:
-    """Photodiodes on the arc: polar angles at shift 0, upper arc first, then the lower one; responsivity and dark currents.
+    """Photodiodes on the arc, those of the upper arc first: angles, responsivity and dark currents.
 
-    The angles are `upper_deg` and `lower_deg`. The dark current `dark_a` has a relative spread over the photodiodes of
-    `dark_spread`, and wanders by `dark_wander`.
+    `upper_deg`: polar angles on the upper arc, at shift 0. `lower_deg`: polar angles on the lower arc, at shift 0. `dark_a`:
+    mean dark current. `dark_spread`: relative standard deviation of the dark currents over the photodiodes. `dark_wander`:
+    relative standard deviation of the slow noise of each dark current.
     """
 
     upper_deg: Annotated[tuple[PolarAngle, ...], MinLen(1)] = tuple(5.0 * k for k in range(18))
@@ -146,15 +154,15 @@ class Photodiodes:
 class Electronics:
     """Transimpedance amplifiers and the converters behind them. A module has eight channels and one gain.
 
-    `gain_spread` is the relative deviation of the real gains from the nominal ones, `gains_v_per_a`. `offset_v` and `noise_v`
-    are those of the amplifiers and converters; the amplifiers settle with a time constant of `settling_s`.
+    `gains_v_per_a`: nominal gains. `gain_spread`: relative standard deviation of the real gains from the nominal ones.
+    `offset_v`: offset of amplifier and converter. `noise_v`: noise of amplifier and converter in one conversion, as a standard
+    deviation. `settling_s`: time constant with which the amplifiers settle. `conversions_per_s`: conversions that a module
+    makes in a second, for all of its channels together. `module`: model of the converters. An ADAM-4117 has no outputs, so its
+    gain is always the first. `baudrate`: speed of the serial line of an ADAM-4117.
 
-    `module` is the kind of converter. One with a serial line (`adam-4117`, at `baudrate`) has no outputs, so its gain is always
-    the first. `conversions_per_s` counts those of all channels of a module.
-
-    What differs between modules of one kind: `tcp_units` are the units to which one on Ethernet responds (the driver takes
-    the first), `raw_format` is that of the values of one with a serial line, and one without `multiple_writes` refuses
-    function 16.
+    Modules of one model differ in three properties. `tcp_units`: units to which a module on Ethernet responds; the driver takes
+    the first. `raw_format`: number format of the values of a module with a serial line. `multiple_writes`: whether the module
+    has function 16; otherwise it refuses it.
     """
 
     gains_v_per_a: Annotated[tuple[Positive, ...], MinLen(1), MaxLen(4)] = (1e6, 1e8, 1e10, 1e11)
@@ -180,10 +188,12 @@ class Electronics:
 
 @dataclass(frozen=True)
 class MonitorPhotodiode:
-    """Photodiode behind the beam splitter: `current_a` at a lamp level of 1 and 550 nm, dark current `dark_a`, noise.
+    """The monitor: a photodiode behind the beam splitter.
 
-    `noise` is relative, per reading. The responsivity changes by `drift_per_hour`, and by `linearity_per_decade` for each
-    decade of the current above `current_a`. At a current of `saturation_a` it has fallen to one half; 0: it does not fall.
+    `current_a`: current at a lamp level of 1 and 550 nm. `dark_a`: dark current. `noise`: relative standard deviation of one
+    reading. `drift_per_hour`: relative change of the responsivity in an hour. `linearity_per_decade`: relative change of the
+    responsivity for each decade of current above `current_a`. `saturation_a`: current at which the responsivity has fallen to
+    one half; 0: it does not fall.
     """
 
     current_a: Positive = 1.4e-7
@@ -212,16 +222,17 @@ class MonitorPhotodiode:
 
 @dataclass(frozen=True)
 class MonochromatorDrive:
-    """Speeds of grating, shutter, filter wheel (per position) and slits; echo and handshake mode of the serial line.
+    """The monochromator's drive: the speeds of its parts, and the properties of its serial line. The defaults are those of the
+    manual.
 
-    Units differ in the text of their status byte: it has `status_digits` at least, in hexadecimal or, with `status_decimal`, in
-    decimal numbers. They differ also in the answer to `ERROR?` without an error: an empty line, or 0 with `zero_is_no_error`.
-    The defaults are those of the manual. `gpib_address` answers `ADDRESS?`.
+    `slew_nm_per_s`: speed of the grating. `settle_s`: time until the grating rests after its motion. `shutter_s`: duration of
+    opening or closing the shutter. `filter_s`: time in which the filter wheel turns by one position. `echo`: whether the unit
+    repeats each statement on the line. `handshake`: whether the unit has the statement HANDSHAKE. `grating_s`: duration of a
+    change of the grating. `filters`: positions of the filter wheel; 0: there is no wheel.
 
-    `nm_per_step` is for a grating of 1200 lines per mm. `gratings` are pairs (lines per mm, label). `slew_nm_per_s`,
-    `settle_s`, `shutter_s` and `grating_s` are the times, `echo` and `handshake` the modes. `filters` is the number of
-    positions of its filter wheel (0: no wheel), `filter_s` the time from one to the next. `already_there_is_error`: a filter
-    wheel sent to its present position reports error 7 (to be confirmed on hardware).
+    Units differ in their replies. `status_digits`: least number of digits of the status byte. `status_decimal`: whether the
+    status byte is a decimal number, and not hexadecimal. `zero_is_no_error`: whether the reply to `ERROR?` without an error is
+    0, and not an empty line. `gpib_address`: the reply to `ADDRESS?`.
     """
 
     slew_nm_per_s: Positive = 175.0
@@ -235,9 +246,12 @@ class MonochromatorDrive:
     grating_s: NonNegative = 8.0
     slit_um_per_s: float = field(default=500.0, init=False)
     nm_per_step: float = field(default=0.01, init=False)
+    """Of a grating of 1200 lines per mm."""
     gratings: tuple[tuple[int, str], ...] = ((1200, "VIS"), (600, "NIR"))
+    """Lines per mm and label of each."""
     filters: Annotated[int, Ge(0), Le(6)] = 6
     already_there_is_error: bool = False
+    """Whether a filter wheel that is sent to its present position reports error 7 (to be confirmed on hardware)."""
     status_digits: Literal[1, 2] = field(default=2, metadata=LATER)
     status_decimal: bool = field(default=False, metadata=LATER)
     zero_is_no_error: bool = field(default=False, metadata=LATER)
@@ -246,7 +260,11 @@ class MonochromatorDrive:
 
 @dataclass(frozen=True)
 class WheelFilter:
-    """Long-pass filter in a `position` of the wheel: `transmittance` from `cut_on_nm` on, and zero below."""
+    """A long-pass filter in the wheel.
+
+    `position`: its position in the wheel. `cut_on_nm`: wavelength from which on it transmits; below it blocks. `transmittance`:
+    its transmittance from this wavelength on.
+    """
 
     position: WheelPosition
     cut_on_nm: Positive
@@ -261,8 +279,8 @@ class WheelFilter:
 class SecondOrder:
     """Light of half the wavelength that the grating passes as well, in its second order.
 
-    `second_order` is the share of it that passes, relative to what would pass with the grating set to it; the lamp has no such
-    light up to 710 nm.
+    `second_order`: fraction of the light of half the wavelength that passes, relative to what would pass with the grating set
+    to it. The lamp has no such light up to 710 nm.
     """
 
     second_order: Fraction = 0.0
@@ -296,12 +314,11 @@ ModuleKind = Literal["tmcm-6214", "tmcm-1240"]
 
 @dataclass(frozen=True)
 class AxisController:
-    """Line of the motion modules: its `wire`, `baudrate` (without effect over USB) and `latency_s`, a module's response time.
+    """A line of motion modules, one for each address among the axes' `module`.
 
-    Positions of the encoder have a noise of `encoder_noise_microsteps`.
-
-    `kind` applies to every module; there is one module for each address among the axes' `module`. On `rs485` a module does not
-    respond to another address; over `usb` it responds to any.
+    `kind`: model of every module on it. `wire`: over "usb" a module responds to any address, on "rs485" only to its own.
+    `baudrate`: speed of the line; without effect over USB. `latency_s`: time in which a module responds.
+    `encoder_noise_microsteps`: noise of the encoder's positions, in microsteps.
     """
 
     kind: ModuleKind = "tmcm-6214"
@@ -336,27 +353,26 @@ RelativeError = Annotated[float, Gt(1e-5), Lt(0.5)]
 class Estimator:
     """Estimator of the light on the photodiodes.
 
-    `fast` places its seven rays per photodiode itself, or has `rays` of them. `forward` traces all light until the median
-    relative standard error of the photodiodes with light is below `relative_error`, in a file `forward_error`: with photodiodes
-    of 0.5 deg that takes some seconds a pose for 3 %, and a hundred times as long for 0.3 %; wider ones take less.
+    The fast one places a few rays per photodiode. The forward one traces all light, to a given precision.
 
-    `stray` includes the light of the frames and the light that was scattered more than once. The forward estimator traces it.
-    For the fast one a map from the forward estimator is added.
+    `rays`: number of rays per photodiode of the fast estimator; without it seven, which it places itself. `stray`: whether the
+    light of the frames and the light that was scattered more than once is included. The forward estimator traces it; for the
+    fast one a map from the forward one is added.
     """
 
     kind: EstimatorKind = "fast"
     rays: Annotated[int, Ge(16), Le(1 << 20), MultipleOf(4)] | None = None
     relative_error: RelativeError = 0.03
+    """The forward one stops at this median relative standard error of the photodiodes with light; see `OpticsTable`."""
     stray: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parts:
-    """Parts of a virtual rig that need no other part; with `noise` off there are no random processes, but quantisation.
+    """Parts of a virtual rig.
 
-    They are the `frames` of the samples, the `light`, the `photodiodes` and their `electronics`, the `monitor`, the motion
-    `controller`, and what all of it is off by, the `disturbances`. `diattenuation` has, by the names of samples, the difference
-    of their values for light in s and in p over the sum: 0 for those that are not named.
+    `diattenuation`: for each sample, the difference of its values for light in s and in p, over their sum; 0 for a sample that
+    is not named. `noise`: whether there is noise. Without it there are no random processes; quantisation remains.
     """
 
     frames: SampleFrames = field(default_factory=SampleFrames)

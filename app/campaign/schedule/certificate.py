@@ -47,17 +47,19 @@ ROUNDING = 1e-9
 
 
 class ValidityTable(TomlTable):
-    """The last day of a certificate, `expires`, and the person responsible for its use after that, `accept_expired_by`."""
+    """The validity of a certificate.
+
+    `expires`: last day on which it is valid. `accept_expired_by`: name of the person responsible for its use after that day.
+    """
 
     expires: Day | None = None
     accept_expired_by: Annotated[str, Field(min_length=1)] | None = None
 
 
 class CertificateTable(ValidityTable):
-    """`[certificate]` of the schedule: the certificate of the etalon, in place of the rig file's `[etalon]`.
+    """`[certificate]`: the certificate of the etalon, in place of the rig file's `[etalon]`.
 
-    `file` is a CSV file beside the schedule. It is valid until the end of the day `expires`. `accept_expired_by` is the name of
-    the person responsible for its use after that day.
+    `file`: name of its CSV file, beside the schedule.
     """
 
     file: Annotated[str, Field(min_length=1)]

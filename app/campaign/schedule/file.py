@@ -62,10 +62,10 @@ KEYWORDS = {"order": ("fastest", "all five loops, the innermost first"), "gains_
 
 
 class AveragingTable(TomlTable):
-    """`[averaging]`: averaging to a target uncertainty.
+    """`[averaging]`: readings until a target uncertainty is reached. The schedule's `readings` is then their least number.
 
-    At each gain a row is read until every photodiode with light has the standard uncertainty `relative_uncertainty` (of noise
-    alone), for at most `longest_s`. The schedule's `readings` is then the least number of readings.
+    `relative_uncertainty`: target for every photodiode with light: the relative standard uncertainty by noise alone.
+    `longest_s`: longest time that a row is read at one gain, even if the target is not reached.
     """
 
     relative_uncertainty: PositiveFraction
@@ -73,9 +73,10 @@ class AveragingTable(TomlTable):
 
 
 class WarmUpTable(TomlTable):
-    """`[warm_up]`: the campaign begins with a wait for the lamp, with open shutter.
+    """`[warm_up]`: wait for the lamp at the start of the campaign, with open shutter and no sample.
 
-    It ends when the monitor changes by no more than `percent_per_10min`, or after `longest_s`.
+    `percent_per_10min`: the wait ends when the monitor changes by no more than this in 10 minutes. `longest_s`: longest wait;
+    after it the campaign continues, and the row is flagged.
     """
 
     percent_per_10min: PositiveFloat
@@ -83,11 +84,14 @@ class WarmUpTable(TomlTable):
 
 
 class DriftTable(TomlTable):
-    """`[drift]`: drift checks. Every `every_s` the signal at one pose is measured again.
+    """`[drift]`: drift checks, which measure one pose again and again. They compare the signal over the monitor with the first
+    check of the mounting.
 
-    The pose is `sigma_deg`, `gamma_deg`, `beta_deg` and `shift_deg`, with `wavelength_nm`. If the signal over the monitor
-    differs from the first check by more than the fraction `limit`, the rows between the checks are flagged; with "stop" for
-    `on_excess` the run also stops.
+    `every_s`: time between two checks. There is also one after each mounting and one before the next. `sigma_deg`: the rig's
+    sigma at the pose of the checks; beyond 90 deg the light comes from behind. `beta_deg`: beta at the pose of the checks.
+    `shift_deg`: shift of the arc at this pose. `gamma_deg`: gamma at this pose. `wavelength_nm`: wavelength of the checks.
+    `limit`: largest permitted change, as a fraction. If it is exceeded, the rows between the checks are flagged. `on_excess`:
+    "stop" also ends the run if the limit is exceeded; "flag" does not.
     """
 
     every_s: PositiveFloat
@@ -101,12 +105,13 @@ class DriftTable(TomlTable):
 
 
 class OpenBeamTable(TomlTable):
-    """`[open_beam]`: the scan of the open beam: the absolute scale that `goniotwin closure` compares with the etalon.
+    """`[open_beam]`: scan of the open beam, with no sample mounted. It gives the absolute scale that `goniotwin closure`
+    compares with the etalon. At each sigma of 10 deg or more, the photodiode in the specular direction scans the beam.
 
-    At each sigma of 10 deg or more, without a sample, the photodiode in the specular direction scans the beam at `poses` by
-    `poses` poses, `step_deg` apart along the arc and across it, at `wavelength_nm` (without it the middle one). At all other
-    wavelengths it is read in the middle pose. With `sigma_deg` it is scanned at these of the schedule's sigmas alone. `scale`
-    is that of transmitted light.
+    `sigma_deg`: the schedule's sigmas at which the beam is scanned; without it all from 10 deg on. `poses`: number of poses
+    along the arc, and also of those across it; odd, so that there is a middle pose. `step_deg`: distance of two poses.
+    `wavelength_nm`: wavelength of the scan; without it the middle one of the schedule. At the other wavelengths the beam is
+    read in the middle pose alone. `scale`: which scale transmitted values have: that of the etalon, or that of the open beam.
     """
 
     sigma_deg: Grid | None = None
@@ -130,12 +135,16 @@ OpenBeamSetting = Annotated[
 
 
 class SecondStandardTable(ValidityTable):
-    """`[second_standard]`: a second reference standard `name`, which is measured after the etalon at all of its poses.
+    """`[second_standard]`: a second reference standard, measured after the etalon at all of its poses. The two are compared,
+    and values are scaled by both.
 
-    The two are compared, and values are scaled by both. Its certificate is `radiance_factor` (1 is the ideal diffuser) with
-    its standard `relative_uncertainty`, and with `geometry`, `shape` and `calibrated` as those of `[etalon]` in the rig file;
-    or `table`, the lines of a certificate's CSV file. `expires` and `accept_expired_by` are as in `[certificate]`. With
-    `turned` it is the etalon itself, taken out, turned and mounted again: its certificate is the etalon's.
+    `name`: name of the second standard, which no sample has. `turned`: whether it is the etalon itself, taken out, turned and
+    mounted again. It then has the etalon's certificate. `radiance_factor`: its certified radiance factor; 1 is the ideal
+    diffuser. `relative_uncertainty`: relative standard uncertainty of the radiance factor. `geometry`: geometry of the
+    certificate's measurement, such as "8:d". The value is taken for all directions, and the uncertainty then includes `shape`.
+    `shape`: relative standard uncertainty of its deviation from the ideal diffuser, at the normal; 0.03 if it is not given.
+    `calibrated`: day of the calibration. `table`: the lines of a certificate's CSV file, in place of these keys of a
+    certificate.
     """
 
     name: Name
@@ -194,10 +203,166 @@ class SecondStandardTable(ValidityTable):
 
 
 class StopTable(TomlTable):
-    """`[stop]`: conditions that end a run in good order before its last row; it can be resumed.
+    """`[stop]`: conditions that end a run in good order before its last row. It can be resumed.
 
-    `longest_s`: time on the rig's clock in one session. `skipped_rows`: number of rows that a session may skip after faults.
-    `lamp_below`: fraction of its first value at that wavelength to which the monitor's current may fall.
+    `longest_s`: longest duration of a session, on the rig's clock. `skipped_rows`: number of rows, skipped after faults in this
+    session, at which the run ends. `lamp_below`: the run ends when the monitor's current is below this fraction of its first
+    value at the wavelength.
+    """
+
+    longest_s: PositiveFloat | None = None
+    skipped_rows: PositiveInt | None = None
+    lamp_below: PositiveFraction | None = None
+
+
+class TargetTable(TomlTable):
+    """`[target]`: what is asked of the campaign. `check` and `rehearse` warn where they predict something worse.
+
+    `relative_u`: largest relative standard uncertainty u (k = 1, not the expanded U) of the values near the peak.
+    `above_peak_share`: share of the peak from which on values count. The peak is the largest value at a wavelength, sigma, gamma
+    and side. `longest_h`: longest machine time in hours, without the time to mount samples.
+    """
+
+    relative_uncertainty: PositiveFraction
+    longest_s: PositiveFloat = 10.0
+
+
+class WarmUpTable(TomlTable):
+    """`[warm_up]`: wait for the lamp at the start of the campaign, with open shutter and no sample.
+
+    `percent_per_10min`: the wait ends when the monitor changes by no more than this in 10 minutes. `longest_s`: longest wait;
+    after it the campaign continues, and the row is flagged.
+    """
+
+    percent_per_10min: PositiveFloat
+    longest_s: PositiveFloat = 3600.0
+
+
+class DriftTable(TomlTable):
+    """`[drift]`: drift checks, which measure one pose again and again. They compare the signal over the monitor with the first
+    check of the mounting.
+
+    `every_s`: time between two checks. There is also one after each mounting and one before the next. `sigma_deg`: the rig's
+    sigma at the pose of the checks; beyond 90 deg the light comes from behind. `beta_deg`: beta at the pose of the checks.
+    `shift_deg`: shift of the arc at this pose. `gamma_deg`: gamma at this pose. `wavelength_nm`: wavelength of the checks.
+    `limit`: largest permitted change, as a fraction. If it is exceeded, the rows between the checks are flagged. `on_excess`:
+    "stop" also ends the run if the limit is exceeded; "flag" does not.
+    """
+
+    every_s: PositiveFloat
+    sigma_deg: float
+    beta_deg: float
+    shift_deg: float = 0.0
+    gamma_deg: float = 0.0
+    wavelength_nm: PositiveFloat
+    limit: PositiveFraction = 0.005
+    on_excess: Literal["flag", "stop"] = "flag"
+
+
+class OpenBeamTable(TomlTable):
+    """`[open_beam]`: scan of the open beam, with no sample mounted. It gives the absolute scale that `goniotwin closure`
+    compares with the etalon. At each sigma of 10 deg or more, the photodiode in the specular direction scans the beam.
+
+    `sigma_deg`: the schedule's sigmas at which the beam is scanned; without it all from 10 deg on. `poses`: number of poses
+    along the arc, and also of those across it; odd, so that there is a middle pose. `step_deg`: distance of two poses.
+    `wavelength_nm`: wavelength of the scan; without it the middle one of the schedule. At the other wavelengths the beam is
+    read in the middle pose alone. `scale`: which scale transmitted values have: that of the etalon, or that of the open beam.
+    """
+
+    sigma_deg: Grid | None = None
+    poses: Annotated[int, Field(ge=5, le=51)] = 13
+    step_deg: Annotated[float, Field(ge=0.02, le=1.0)] = 0.2
+    wavelength_nm: PositiveFloat | None = None
+    scale: Literal["etalon", "open beam"] = "etalon"
+
+    @field_validator("poses")
+    @classmethod
+    def _check_middle(cls, value: int) -> int:
+        if value % 2 == 0:
+            raise ValueError(f"{value} is even, so that there is no middle pose; write {value + 1}")
+        return value
+
+
+OpenBeamSetting = Annotated[
+    Annotated[bool, Tag("bool")] | Annotated[OpenBeamTable, Tag("table")],
+    Discriminator(lambda value: "bool" if isinstance(value, bool) else "table"),
+]
+
+
+class SecondStandardTable(ValidityTable):
+    """`[second_standard]`: a second reference standard, measured after the etalon at all of its poses. The two are compared,
+    and values are scaled by both.
+
+    `name`: name of the second standard, which no sample has. `turned`: whether it is the etalon itself, taken out, turned and
+    mounted again. It then has the etalon's certificate. `radiance_factor`: its certified radiance factor; 1 is the ideal
+    diffuser. `relative_uncertainty`: relative standard uncertainty of the radiance factor. `geometry`: geometry of the
+    certificate's measurement, such as "8:d". The value is taken for all directions, and the uncertainty then includes `shape`.
+    `shape`: relative standard uncertainty of its deviation from the ideal diffuser, at the normal; 0.03 if it is not given.
+    `calibrated`: day of the calibration. `table`: the lines of a certificate's CSV file, in place of these keys of a
+    certificate.
+    """
+
+    name: Name
+    turned: bool = False
+    radiance_factor: PositiveFloat | None = None
+    relative_uncertainty: Annotated[float, Field(ge=0.0, lt=1.0)] | None = None
+    geometry: str | None = None
+    shape: Annotated[float, Field(ge=0.0, lt=1.0)] | None = None
+    calibrated: Day | None = None
+    table: Annotated[str, Field(min_length=1)] | None = None
+
+    @field_validator("geometry")
+    @classmethod
+    def _check_geometry(cls, value: str | None) -> str | None:
+        check_geometry(value)
+        return value
+
+    @field_validator("radiance_factor")
+    @classmethod
+    def _check_factor(cls, value: float | None) -> float | None:
+        if value is not None:
+            refuse_percentage(value)
+        return value
+
+    @model_validator(mode="after")
+    def _check_certificate(self) -> "SecondStandardTable":
+        constant = {key: getattr(self, key) for key in ("radiance_factor", "relative_uncertainty")}
+        given = [key for key in (*constant, "geometry", "shape", "calibrated", "table") if getattr(self, key) is not None]
+        if self.expires is not None and self.turned:
+            given.append("expires")
+        if self.turned and given:
+            raise ValueError(f"{given[0]}: a turned etalon has the etalon's certificate; remove {given[0]}, or turned")
+        if self.table is not None:
+            if others := [key for key in given if key != "table"]:
+                raise ValueError(f"{others[0]}: the table has the certificate; remove one of them")
+            try:
+                parse_certificate(self.table, "table")
+            except UserError as error:
+                raise ValueError(str(error)) from None
+        elif not self.turned and (missing := [key for key, value in constant.items() if value is None]):
+            raise ValueError(
+                f"{missing[0]} is missing: give radiance_factor and relative_uncertainty of its certificate, or its table; "
+                "or turned = true for the etalon itself, mounted once more"
+            )
+        return self
+
+    def certificate(self, of_etalon: Certificate) -> Certificate:
+        """Its certificate, which is that of the etalon if it is this, turned."""
+        if self.table is not None:
+            return parse_certificate(self.table, "second_standard.table")
+        if self.turned:
+            return of_etalon
+        keys = ("radiance_factor", "relative_uncertainty", "geometry", "shape", "calibrated")
+        given = {key: getattr(self, key) for key in keys}
+        return constant_certificate(EtalonTable(**{key: value for key, value in given.items() if value is not None}))
+
+
+class StopTable(TomlTable):
+    """`[stop]`: conditions that end a run in good order before its last row. It can be resumed.
+
+    `longest_s`: longest duration of a session, on the rig's clock. `skipped_rows`: number of rows, skipped after faults in this
+    session, at which the run ends. `lamp_below`: the run ends when the monitor's current is below this fraction of its first
+    value at the wavelength.
     """
 
     longest_s: PositiveFloat | None = None
@@ -219,14 +384,15 @@ class TargetTable(TomlTable):
 
 
 class FaultsTable(TomlTable):
-    """`[faults]`: what happens to a row where a device fails, by the kind of fault; without this table the defaults apply.
+    """`[faults]`: what happens to a row when a device fails, by the kind of fault. Without this table the defaults apply.
+    "retry" repeats the row after a wait. "reconnect" connects the devices again, homes unreferenced axes and repeats the row.
+    "skip" flags the row and continues with the next one. "ask" waits until the operator has fixed the fault. "stop" ends the
+    run.
 
-    Kinds. `wire`: no reply, or a wrong one. `reset`: a device has lost its settings. `refused`: a device refuses a command.
-    `axis`: an axis is unreferenced, or did not arrive.
-
-    Policies. `retry`: repeat the row after `wait_s`. `reconnect`: connect the devices again, home unreferenced axes, and repeat
-    the row. `skip`: skip the row and flag it. `ask`: wait until the operator has fixed the fault. `stop`: stop the run.
-    A row has at most `attempts` attempts; after the last one `then` applies.
+    `wire`: what happens after a reply that is missing or wrong. `reset`: what happens if a device has lost its settings.
+    `refused`: what happens if a device refuses a command. `axis`: what happens if an axis is unreferenced or did not arrive.
+    `attempts`: largest number of attempts of a row. `wait_s`: wait before "retry" repeats the row. `then`: what happens after
+    the last attempt.
     """
 
     wire: Policy = "reconnect"
@@ -239,25 +405,28 @@ class FaultsTable(TomlTable):
 
 
 class ScheduleFile(TomlTable):
-    """The whole file: the campaign `name`. Angles are in degrees, wavelengths in nanometres, times in seconds.
+    """A schedule: what a campaign measures, where and how. Angles are in degrees, wavelengths in nanometres, times in seconds.
 
-    `samples` are in the order of mounting, after the reference standard `etalon` and a `second_standard`, if any. `side` is the
-    side that is lit, `light` whether reflected or transmitted light, or both, is measured, and `symmetry` that of the samples.
-    The grids are `sigma_deg` (incidence, 0 to 87), `gamma_deg` (rotation of the sample), `beta_deg` (rotation of the arc),
-    `shift_deg` (polar shift of the arc) and `wavelength_nm`. `near_specular` adds finer poses, `symmetry_check` mirrored ones,
-    `overlap` those at which photodiodes look where their neighbours look. With `signature` the etalon's poses are measured with
-    no sample as well, with `open_beam` the beam itself: in one pose with `true`, scanned with a table. `repeats` is the number
-    of scans within a mounting.
+    `name`: name of the campaign. `side`: side of the samples that is lit. `light`: whether reflected or transmitted light is
+    measured, or both. Both arcs are read in any case; this decides from which side the etalon is lit. `samples`: names of the
+    samples, in the order of mounting. `etalon`: name of the reference standard, which is mounted before them. `symmetry`:
+    symmetry of the samples. Poses that are mirror images of others are not measured. `sigma_deg`: angles of incidence from the
+    normal of the lit side, 0 to 87. `gamma_deg`: rotations of the sample about its normal. `beta_deg`: rotations of the arc
+    about the vertical axis: the azimuths of observation. `shift_deg`: polar shifts of the arc along itself. `wavelength_nm`:
+    wavelengths of the monochromator.
 
-    `order` is the order of the loops, and with `back_and_forth` a loop may turn round at its end. `gains_v_per_a` are the gains
-    of each row, or "automatic". `readings` is their number at each gain, `dark_readings` that of a dark reading, which is no
-    older than `dark_every_s`. `averaging` takes more readings in faint light. `warm_up` waits for the lamp. `drift` measures
-    one pose again and again. `target` is the uncertainty and the machine time that are asked for. `stop` ends a run before its
-    last row. `faults` is what happens to a row where a device fails.
-    `certificate` is the etalon's. `align` is a sample with a narrow lobe by which the campaign is aligned: all values are
-    corrected for the rig's misalignments as that lobe shows them. `diattenuation` is, by sample, how far the values for light
-    of the sample's s and of its p are apart, over their sum: with it the polarisation of the light is in the uncertainty.
-    `metadata` is what a person states about the campaign, for reports and archives.
+    `signature`: whether the poses of the etalon are also measured with no sample mounted. `open_beam`: a table scans the beam
+    with no sample mounted; `true` reads it in one pose, which gives no scale. `repeats`: number of scans within a mounting.
+
+    `order`: order of the loops, the innermost first; "fastest" chooses the one that takes the least time. `back_and_forth`:
+    whether a loop may turn round at its end, so that every second pass runs backwards. `gains_v_per_a`: gains at which each row
+    is read. "automatic" begins with the highest, and lowers it until no photodiode is saturated. `readings`: number of readings
+    of a row at each gain. `dark_every_s`: greatest age of a dark reading at the end of a row. `dark_readings`: number of
+    readings in a dark reading.
+
+    `align`: name of a sample with a narrow lobe. All values are corrected for the misalignments of the rig that this lobe
+    shows. `diattenuation`: for each sample, the difference of its values for light polarised in s and in p, over their sum. The
+    uncertainty then includes the polarisation of the light.
     """
 
     name: Name

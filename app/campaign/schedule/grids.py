@@ -24,7 +24,10 @@ def evenly_spaced(start: float, step: float, steps: int) -> Floats:
 
 
 class GridRange(TomlTable):
-    """Values from `start` to `stop`, both included, with the distance `step`."""
+    """An evenly spaced range of values.
+
+    `start`: first value. `stop`: last value, a whole number of steps from the first. `step`: distance of two values.
+    """
 
     start: float
     stop: float

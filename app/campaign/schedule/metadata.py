@@ -29,11 +29,13 @@ Text = Annotated[str, Field(max_length=LONGEST_TEXT), AfterValidator(_check_line
 class SampleMetadataTable(TomlTable):
     """`[metadata.samples.NAME]`: what is known about a sample.
 
-    `identifier` is its number or code, `maker` its manufacturer, `description` what it is. `side` names the side that is lit,
-    `azimuth_mark` what on the sample shows its azimuth 0, and `preparation` how it was cleaned, cut and mounted.
-    `thickness_mm` is its thickness, `note` any remark. `picture` is the name of a file with a picture, and `picture_sha256` the
-    digest of that file. `mounted_by` is the person who mounted it, at the time `mounted_at`. What the operator states as the
-    sample is mounted has priority over this table.
+    What the operator states as the sample is mounted has priority over this table.
+
+    `identifier`: number or code of the sample. `maker`: manufacturer of the sample. `description`: what the sample is. `side`:
+    which side of the sample is lit, in words. `azimuth_mark`: what on the sample shows its azimuth 0. `preparation`: how the
+    sample was cleaned, cut and mounted. `thickness_mm`: thickness of the sample. `note`: any remark. `picture`: name of a file
+    with a picture of the sample. `picture_sha256`: SHA-256 digest of that file. `mounted_by`: person who mounted the sample.
+    `mounted_at`: time of the mounting, with its offset from UTC.
     """
 
     identifier: Text = ""
@@ -72,12 +74,14 @@ def sample_record(given: Mapping[str, Any]) -> SampleMetadataTable:
 
 
 class MetadataTable(TomlTable):
-    """`[metadata]`: what a person states for reports and archives; no value depends on it.
+    """`[metadata]`: what a person states for reports and archives. No value depends on it.
 
-    `title` is that of the report, and `licence` that of the data. `operator`, `laboratory` and `environment` (temperature and
-    humidity) are those of the measurement. `instrument`, `source` and `receiver` name the hardware beyond the rig file: maker,
-    type, serial number. `reference` is the reference standard, and `certificate` the number of its certificate. `samples` has a
-    table for each sample.
+    `title`: title of the report. `operator`: the person who measured. `laboratory`: where the samples were measured.
+    `environment`: temperature and humidity during the measurement. `licence`: licence of the data. `instrument`: maker, type
+    and serial number of the instrument, beyond the rig file's name. `source`: maker, type and serial number of the light
+    source. `receiver`: maker, type and serial number of the detectors. `reference`: the reference standard in words; without it
+    its name in the schedule. `certificate`: number of the reference standard's certificate. `samples`: what is known about each
+    sample, by its name.
     """
 
     title: Text = ""

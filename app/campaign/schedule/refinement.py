@@ -14,10 +14,11 @@ StatedSymmetry = Literal["isotropic", "plane-symmetric", "anisotropic"]
 
 
 class NearSpecularTable(TomlTable):
-    """`[near_specular]`: more poses wherever a photodiode then looks within `within_deg` of the specular direction or, for
-    transmitted light, of the direction straight through.
+    """`[near_specular]`: further poses near the specular direction, for transmitted light near the direction straight through.
 
-    They are at the arc shifts `shift_deg`, and at betas every `beta_step_deg` over the whole range of `beta_deg`.
+    `within_deg`: largest angle between this direction and the nearest photodiode in such a pose. `shift_deg`: further shifts of
+    the arc for these poses. `beta_step_deg`: step of further betas for these poses, over the whole range of the schedule's
+    betas.
     """
 
     within_deg: Annotated[float, Field(gt=0.0, le=90.0)]
@@ -32,10 +33,10 @@ class NearSpecularTable(TomlTable):
 
 
 class SymmetryCheckTable(TomlTable):
-    """`[symmetry_check]`: `points` poses are also measured at their mirror image by the stated symmetry.
+    """`[symmetry_check]`: test of the symmetry that the schedule states.
 
-    `angle_deg` is the standard uncertainty of the axes' angles: where a lobe is steep it makes a difference that does not come
-    from the sample.
+    `points`: number of poses that are also measured at their mirror image. `angle_deg`: standard uncertainty of the axes'
+    angles. Where a lobe is steep, it makes a difference that does not come from the sample.
     """
 
     points: PositiveInt
@@ -43,12 +44,11 @@ class SymmetryCheckTable(TomlTable):
 
 
 class OverlapTable(TomlTable):
-    """`[overlap]`: at each sigma `points` poses at which photodiodes look where their neighbours look at the first shift of the
-    grid.
+    """`[overlap]`: poses at which photodiodes look where their neighbours look at the first shift of the grid.
 
-    `calibrate`: multiply the values by a factor for each photodiode, from all directions that two photodiodes measure; without
-    it the factors are only reported. `angle_deg` is the standard uncertainty of a photodiode's direction: the steeper the lobe,
-    the smaller the weight of an overlap.
+    `points`: number of such poses at each sigma. `calibrate`: whether values are multiplied by a factor for each photodiode,
+    from all directions that two photodiodes measure. Without it the factors are only reported. `angle_deg`: standard
+    uncertainty of a photodiode's direction. The steeper the lobe, the smaller the weight of an overlap.
     """
 
     points: PositiveInt

@@ -78,10 +78,12 @@ class Parameter:
 class DeviationsTable(TomlTable):
     """`[[deviations]]`: deviations of some elements, all with the same range.
 
-    `elements` are those of the criterion: of the instrument (pupil, mirror_1 to mirror_3, mirror_unit, sample, arc, sensor, and
-    beam, the light turned about the sample), or of the illumination unit (arc, reflector, input_condenser, slit,
-    output_condenser, unit). `angles` of rx, ry, rz are within +-`limit_deg`, in steps of `step_deg`; `shifts` of x, y, z within
-    +-`limit_mm`, in steps of `step_mm`. Without a step there are three values: minus the limit, zero, and the limit.
+    `elements`: the elements that deviate. Those of the instrument are pupil, mirror_1 to mirror_3, mirror_unit, sample, arc and
+    sensor, and beam, the light turned about the sample. Those of the illumination unit are arc, reflector, input_condenser,
+    slit, output_condenser and unit. `angles`: axes about which they are turned. `shifts`: axes along which they are shifted.
+    `limit_deg`: largest angle, in both directions. `step_deg`: step of the angles; without it there are three: minus the limit,
+    zero, and the limit. `limit_mm`: largest shift, in both directions. `step_mm`: step of the shifts; without it there are
+    three: minus the limit, zero, and the limit.
     """
 
     elements: Annotated[list[str], Field(min_length=1)]
@@ -130,11 +132,11 @@ class DeviationsTable(TomlTable):
 
 
 class FluxTable(TomlTable):
-    """The criterion of `kind` "flux": the flux into the central 5 x 5 mm of the sample, relative to that without deviations.
+    """The criterion "flux": the flux into the central 5 x 5 mm of the sample, relative to that without deviations.
 
-    A combination passes if the flux differs by no more than `within_percent`; the first limit decides, shares are stated for
-    all. Every combination is evaluated by a quadrature; the worst is confirmed by `rays` adjoint rays, with random numbers of
-    `seed`.
+    `kind`: name of this criterion: "flux". `within_percent`: largest change of the flux with which a combination passes. The
+    first value decides; the report states the fraction for each. `rays`: number of adjoint rays that confirm the worst
+    combination. All combinations are evaluated by a quadrature. `seed`: seed of the random numbers of the rays.
     """
 
     kind: Literal["flux"]
@@ -144,12 +146,13 @@ class FluxTable(TomlTable):
 
 
 class GaussianTable(TomlTable):
-    """The criterion of `kind` "gaussian": formula 5 between a Gaussian sample, simulated, and its formula.
+    """The criterion "gaussian": formula 5 between a Gaussian sample, simulated, and its formula.
 
-    A combination passes if the relative RMS is at most `within_percent`; the first limit decides, shares are stated for all.
-    The Gaussian has `width_deg` in the meaning of `form`. The range of i in formula 5: every angle `sigma_deg`, and the
-    `directions`, in the "plane" of incidence or in the whole "lobe", up to `widths` widths from the specular direction, in
-    steps of `step_deg`, with a zenith angle below 85 deg.
+    `kind`: name of this criterion: "gaussian". `within_percent`: largest relative RMS with which a combination passes. The
+    first value decides; the report states the fraction for each. `sigma_deg`: the incidences in formula 5. `width_deg`: width
+    of the Gaussian. `form`: what the width is: where the Gaussian has fallen to 1/e, or to one half. `widths`: range of the
+    directions in formula 5, in widths from the specular direction. Their zenith angle is below 85 deg. `step_deg`: step of the
+    directions in formula 5. `directions`: whether these directions are in the "plane" of incidence, or in the whole "lobe".
     """
 
     kind: Literal["gaussian"]
@@ -175,14 +178,15 @@ CriterionTable = Annotated[Annotated[FluxTable, Tag("flux")] | Annotated[Gaussia
 
 
 class InstrumentTable(TomlTable):
-    """`[instrument]`: dimensions of the instrument in mm and deg; without it those of the program.
+    """`[instrument]`: dimensions of the instrument. The defaults are the program's.
 
-    The exit pupil has `pupil_radius_mm`, at `pupil_distance_mm` from the sample, over the mirrors. With `collimated` it is at
-    infinity, with the same divergence, and the mirrors are 60 mm wide: each mirror then turns the light in full. The mirrors
-    are `mirror_side_mm` wide, the spot is `spot_side_mm`. The detectors are discs of `detector_diameter_mm` at `arc_radius_mm`
-    with a field of `field_deg`. With `obstruction` the mirror unit blocks some directions; the paper's virtual detectors are
-    not blocked. With `lit_everywhere`, as in the paper, tilts take no light from the hole; without it a lobe is seen in the
-    light that the slit's image leaves there.
+    `pupil_radius_mm`: radius of the exit pupil. `pupil_distance_mm`: distance of the exit pupil from the sample, over the
+    mirrors. `mirror_side_mm`: side of the square mirrors. `spot_side_mm`: side of the square spot on the sample.
+    `arc_radius_mm`: radius of the arc with the detectors. `detector_diameter_mm`: diameter of a detector, which is a disc.
+    `field_deg`: full width of its acceptance cone. `collimated`: whether the exit pupil is at infinity, with the same
+    divergence. The mirrors are then 60 mm wide, so that each turns all of the light. `obstruction`: whether the mirror unit
+    blocks some directions; the paper's virtual detectors are not blocked. `lit_everywhere`: whether tilts take no light from
+    the hole, as in the paper. Otherwise a lobe is seen in the light that the slit's image leaves there.
     """
 
     pupil_radius_mm: Positive = Dimensions.pupil_radius_mm
@@ -204,13 +208,13 @@ class InstrumentTable(TomlTable):
 
 
 class CombinationsTable(TomlTable):
-    """`[combinations]`: how many combinations are evaluated.
+    """`[combinations]`: how many combinations are evaluated, and how.
 
-    All combinations of the steps if there are no more than `enumerate_up_to`. Otherwise `draws` random corners, every deviation
-    at one of its limits, counted with a standard error. `seed` is that of the random numbers.
-
-    `evaluator` of all combinations: "exact", or for a Gaussian a "surrogate" to the second order of the deviations, whose worst
-    combinations are evaluated exactly and whose error is measured and stated.
+    `evaluator`: how all combinations are evaluated: "exact", or for a Gaussian by a "surrogate" to the second order of the
+    deviations. Its worst combinations are evaluated exactly, and its error is measured and stated. `enumerate_up_to`: up to
+    this number of combinations of the steps, all of them are evaluated. `draws`: number of random corners that are evaluated
+    otherwise, counted with a standard error. At a corner every deviation is at one of its limits. `seed`: seed of the random
+    corners.
     """
 
     evaluator: Literal["exact", "surrogate"] = "exact"
@@ -220,10 +224,11 @@ class CombinationsTable(TomlTable):
 
 
 class YieldsTable(TomlTable):
-    """`[yields]`: the share of instruments that pass if their deviations are distributed, counted with its standard error.
+    """`[yields]`: the fraction of instruments that pass if their deviations are distributed, counted with its standard error.
 
-    `distributions`: "uniform" within the limits, or "normal" with the limits at `limit_sigmas` standard deviations. `draws`
-    instruments are drawn with random numbers of `seed`.
+    `distributions`: distributions of the deviations: "uniform" within the limits, or "normal". `limit_sigmas`: limit of a
+    normal distribution, in standard deviations. Its tails go beyond the limit. `draws`: number of instruments that are drawn.
+    `seed`: seed of the drawn instruments.
     """
 
     distributions: list[Distribution] = ["uniform", "normal"]
@@ -233,7 +238,10 @@ class YieldsTable(TomlTable):
 
 
 class AloneTable(TomlTable):
-    """`[alone]`: how far a deviation alone is increased to find its limit: up to `largest_deg` or `largest_mm`."""
+    """`[alone]`: how far a deviation alone is increased to find its limit.
+
+    `largest_deg`: largest angle. `largest_mm`: largest shift.
+    """
 
     largest_deg: Annotated[float, Field(gt=0.0, le=LARGEST_DEG)] = 2.0
     largest_mm: Annotated[float, Field(gt=0.0, le=LARGEST_MM)] = 3.0
@@ -241,12 +249,12 @@ class AloneTable(TomlTable):
 
 class IlluminationTable(TomlTable):
     """`[illumination]`: combinations of the study again, in the light of an illumination unit whose elements deviate as well.
+    An evenly lit hole and a unit without deviations are beside them.
 
-    `light`: "anew", for each combination a unit with deviations of its own, at random limits; "frozen", as in the paper: all
-    combinations have the unit at the worst corner of its deviations, as a rayset recorded there; or both, with their
-    difference. An evenly lit hole and a unit without deviations are beside them. `deviations` are those of the unit, as in a
-    study with the criterion "flux". `draws` combinations of the study's steps, the same for every light, are drawn with random
-    numbers of `seed`.
+    `light`: "anew" has a unit with deviations of its own for each combination, at random limits. "frozen" has the unit at the
+    worst corner of its deviations for all, as a rayset recorded there. With both, the difference is stated. `deviations`:
+    deviations of the unit, as in a study with the criterion "flux". `draws`: number of combinations of the study's steps that
+    are drawn; they are the same for every light. `seed`: seed of the drawn combinations.
     """
 
     light: Annotated[list[Literal["anew", "frozen"]], Field(min_length=1)] = ["anew", "frozen"]
@@ -256,10 +264,10 @@ class IlluminationTable(TomlTable):
 
 
 class VariantTable(TomlTable):
-    """`[[variants]]`: the study again with something else, beside it under its `name`.
+    """`[[variants]]`: the study again with something else, beside it.
 
-    `without` are elements whose deviations are not in it, `deviations` are further ones, `instrument` replaces that of the
-    file.
+    `name`: name of the variant. `without`: elements whose deviations it does not have. `deviations`: further deviations.
+    `instrument`: its instrument; without it that of the file.
     """
 
     name: Annotated[str, Field(min_length=1)]
@@ -269,11 +277,11 @@ class VariantTable(TomlTable):
 
 
 class StudyFile(TomlTable):
-    """The whole file: the `name` of the study, and `paper`, the number of the paper's table beside it (1 or 2).
+    """A tolerance study: deviations of an instrument, and the criterion that their combinations have to meet.
 
-    `criterion` is what a combination of deviations has to keep, `deviations` which elements deviate and by how much. For a
-    Gaussian criterion `instrument` has the dimensions, and `illumination` the deviations of the light. `alone`, `combinations`
-    and `yields` are settings of the stages. `variants` are studies beside this one.
+    `name`: name of the study. `paper`: number of the paper's table that is shown beside it, 1 or 2. `criterion`: what a
+    combination of deviations has to meet. `deviations`: which elements deviate, and by how much. `variants`: studies beside
+    this one.
     """
 
     name: Annotated[str, Field(min_length=1)]

@@ -25,10 +25,11 @@ SHORTEST_REPLY_TIMEOUT_S, LONGEST_REPLY_TIMEOUT_S = 0.02, 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class TmclSettings:
-    """A line of TMCL modules with a `baudrate`. They stop their motors after a silence of `heartbeat_s`; 0 is off.
+    """A serial line of Trinamic modules.
 
-    `reply_timeout_s` is the longest wait for a reply. If it is not given it is 0.06 s, 0.25 s at a network port (`socket://`,
-    `rfc2217://`), and 0.5 s below 57,600 Bd. A stop does not wait for it.
+    `baudrate`: speed of the line. `heartbeat_s`: silence of the line after which the modules stop their motors; 0 is off.
+    `reply_timeout_s`: longest wait for a reply. By default it is 0.06 s, at a network port 0.25 s, and below 57,600 Bd 0.5 s. A
+    stop does not wait for it.
     """
 
     baudrate: Count = 115200

@@ -12,11 +12,14 @@ from goniotwin.keys import check_bounds
 
 @dataclass(frozen=True)
 class Deviation:
-    """Six deviations of an element from its nominal position, zero by default (paper, figures 9 and 11).
+    """Six deviations of an element from its nominal position (paper, figures 9 and 11). The element is turned about the x, then
+    the y, then the z axis of the frame in which its position is given. It turns about its own reference point, and is then
+    shifted along these axes.
 
-    The element is turned about the x, then the y, then the z axis of the frame in which its position is given, through its own
-    reference point, and then shifted along these axes. Angles `rx_deg`, `ry_deg`, `rz_deg` are right-handed; shifts `x_mm`,
-    `y_mm`, `z_mm`. Raises ValueError, naming the field, for a value that is not finite.
+    `rx_deg`: right-handed angle about x. `ry_deg`: right-handed angle about y. `rz_deg`: right-handed angle about z. `x_mm`:
+    shift along x. `y_mm`: shift along y. `z_mm`: shift along z.
+
+    Raises ValueError, naming the field, for a value that is not finite.
     """
 
     rx_deg: float = 0.0

@@ -90,14 +90,17 @@ def nominal_reflectance(reflectance: "float | Reflectance") -> float:
 
 @dataclass(frozen=True)
 class Dimensions:
-    """Dimensions in mm, angles in degrees (paper, sections 3.1 and 3.2), as an operator knows them.
+    """Dimensions in mm, angles in degrees (paper, sections 3.1 and 3.2), as an operator knows them. They decide which
+    directions the mirror unit blocks, and over which directions a value is a mean.
 
-    They decide which directions the mirror unit blocks, and over which directions a value is a mean. Square mirrors of
-    `mirror_side_mm` are `mirror_distance_mm` from each other and from the sample, where the beam makes a spot of
-    `spot_side_mm`. The detectors, of `detector_diameter_mm`, are on an arc of `arc_radius_mm`. The mirrors' black mounts extend
-    `mirror_mount_mm` beyond their edges on all sides. `field_deg` is the full width of a detector's acceptance cone,
-    0.5 to 2.5 deg in the paper; `pupil_radius_mm`, the radius of the exit pupil, seen over the mirrors, is half of the beam's
-    divergence (5 mm: 0.7 deg, assumed). Raises ValueError, naming the field, for a value out of range.
+    `pupil_radius_mm`: radius of the exit pupil, seen over the mirrors: half of the beam's divergence. The default gives 0.7
+    deg, and is assumed. `mirror_distance_mm`: distance of a mirror to the next, and of the last one to the sample.
+    `mirror_side_mm`: side of the square mirrors. `mirror_mount_mm`: width of the mirrors' black mounts beyond their edges, on
+    all sides. `spot_side_mm`: side of the square spot that the beam makes on the sample. `arc_radius_mm`: radius of the arc
+    with the detectors. `detector_diameter_mm`: diameter of a detector. `field_deg`: full width of a detector's acceptance cone,
+    0.5 to 2.5 deg in the paper.
+
+    Raises ValueError, naming the field, for a value out of range.
     """
 
     pupil_radius_mm: Positive = 5.0
@@ -115,25 +118,23 @@ class Dimensions:
 
 @dataclass(frozen=True)
 class Instrument(Dimensions):
-    """The goniophotometer's optics: dimensions, mirrors, detectors.
+    """The goniophotometer's optics: dimensions, mirrors, detectors. The paper gives the distances of 200 mm, the mirrors'
+    reflectance, the spot of 5 x 5 mm and the detectors. The rest is assumed. A pupil of 5 mm radius at 800 mm makes a beam of
+    0.7 deg; the paper has 0.5 to 1 deg. An arc of 300 mm clears mirror 2, whose centre is at 283 mm.
 
-    The paper gives: the distances of 200 mm, the mirrors' `mirror_reflectance`, the spot of 5 x 5 mm, detectors of 5 mm
-    diameter with an acceptance of 0.5 to 2.5 deg. The rest is assumed: a pupil of 5 mm radius at 800 mm makes a beam of 0.7 deg
-    (the paper has 0.5 to 1 deg), and an arc of 300 mm clears mirror 2, whose centre is at 283 mm.
+    `mirror_reflectance`: reflectance of each mirror. `obstruction`: whether the mirror unit blocks light on its way to the
+    detectors. `lit_everywhere`: whether the light covers the hole whatever is off, as with a larger slit. Otherwise it covers
+    the slit's image.
 
-    With `obstruction` the mirror unit blocks light on its way to the detectors. The light covers the slit's image; with
-    `lit_everywhere` it covers the hole whatever is off, as with a larger slit.
+    Without a sensor the detectors are the paper's virtual ones: discs that count the rays within the acceptance cone. With a
+    sensor each detector is such a unit, with its lens in the place of the disc. The lens' diameter and the sensor's field then
+    replace those of the dimensions: one instrument cannot have two kinds of detectors.
 
-    Without a `sensor` the detectors are the paper's virtual ones: discs of `detector_diameter_mm` that count the rays within
-    the cone. With a sensor each detector is such a unit, its lens in the place of the disc. `detector_diameter_mm` and
-    `field_deg` are then replaced by the lens' diameter and the sensor's field: one instrument cannot have two kinds of
-    detectors.
-
-    `deviations` are by element: `pupil` (the illumination unit, about its exit pupil's centre), `mirror_1` to `mirror_3` (each
-    in its own frame: along its sides, then its normal), `mirror_unit` (about the sample's centre, in the frame that turns with
-    sigma: across, along the axis, towards the light), `sample` (in the frame that turns with gamma), `arc` (the rig's frame)
-    and `sensor` (each detector in its own frame: away from the normal, or along its arc, level, along its view). `illumination`
-    has those of the illumination unit's own elements, within its frame: see `IlluminationUnit`. Its `unit` adds to `pupil`.
+    Deviations are by element, each in its own frame. `pupil` is the illumination unit, about the centre of its exit pupil.
+    `mirror_1` to `mirror_3` have x and y along their sides, and z along their normal. `mirror_unit` moves about the sample's
+    centre, in the frame that turns with sigma: across, along the axis, towards the light. `sample` is in the frame that turns
+    with gamma, and `arc` in that of the rig. `sensor` is each detector in its own frame: away from the normal, or along its
+    arc; level; along its view. The illumination unit's own elements deviate within its frame, and its `unit` adds to `pupil`.
 
     Raises ValueError, naming the field, for a value out of range.
     """
@@ -252,14 +253,16 @@ def deviation_mapping(rows: Floats) -> dict[str, Deviation]:
 
 @dataclass(frozen=True)
 class SampleFrames:
-    """The frames of the sample: one above and one below its sheet (paper, section 3.1, without numbers: these are assumed).
+    """The frames of the sample: one above and one below its sheet (paper, section 3.1). The paper gives no numbers: these are
+    assumed. The hole of a frame is as wide as the instrument's spot. Without a gap it is the illuminated spot at every
+    incidence, as in the fast estimator. With a gap the spot moves with sigma, and light is trapped between sample and frame.
 
-    Each frame is a square sheet of `side_mm`, without thickness, `gap_mm` from the sample. Its hole has the instrument's
-    `spot_side_mm`. Without a gap the hole is the illuminated spot at every incidence, as in the fast estimator. With a gap the
-    spot moves with sigma, and light is trapped between sample and frame. The frames scatter `reflectance` of the light by
-    Lambert's law from either side and absorb the rest (black anodised metal). The uniform exit pupil lights a square `lit`
-    times as wide as the hole; a rayset lights the area that its rays reach. Raises ValueError, naming the field, for a value
-    out of range.
+    `gap_mm`: distance of each frame from the sample. `side_mm`: side of a frame, a square sheet without thickness.
+    `reflectance`: fraction of light that the frames scatter by Lambert's law from either side. The rest is absorbed, as by
+    black anodised metal. `lit`: side of the square that the uniform exit pupil lights, over that of the hole. A rayset lights
+    the area that its rays reach.
+
+    Raises ValueError, naming the field, for a value out of range.
     """
 
     gap_mm: NonNegative = 0.0

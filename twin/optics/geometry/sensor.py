@@ -18,11 +18,14 @@ from goniotwin.keys import Positive, check_bounds
 
 @dataclass(frozen=True)
 class RealSensor:
-    """Dimensions in mm, all assumed except the lens' diameter (that of the paper's virtual detectors).
+    """A real detector: lens, diaphragm and detector. All dimensions are assumed except the lens' diameter, which is that of the
+    paper's virtual detectors.
 
-    The lens has `lens_diameter_mm` and `focal_length_mm`. `aperture_mm` is the diaphragm's variable diameter. `diaphragm_mm`
-    and `detector_mm` are distances behind the lens. `detector_side_mm` is the side of the square detector; its sides lie along
-    the arc and across it. Raises ValueError, naming the field, for dimensions that cannot be built.
+    `lens_diameter_mm`: diameter of the lens. `focal_length_mm`: focal length of the lens. `aperture_mm`: diameter of the
+    variable diaphragm. `diaphragm_mm`: distance of the diaphragm behind the lens. `detector_mm`: distance of the detector
+    behind the lens. `detector_side_mm`: side of the square detector; its sides lie along the arc and across it.
+
+    Raises ValueError, naming the field, for dimensions that cannot be built.
     """
 
     lens_diameter_mm: Positive = 5.0
