@@ -22,9 +22,9 @@ FULL_DISK = frozenset({errno.ENOSPC, errno.EDQUOT})
 
 
 class UserError(Exception):
-    """What a person can do wrong with a file, an argument or a device: one printable line with what, where and the remedy.
+    """A mistake with a file, an argument or a device: one printable line with what, where and the remedy.
 
-    No traceback. The command ends with `status`.
+    A command prints it without a traceback, and ends with `status`.
     """
 
     status = 2

@@ -9,7 +9,7 @@ The public API for scripts and notebooks. Everything is loaded at its first use,
     s = g.simulate("gaussian:width_deg=5", sigma_deg=[30])   # gives the same type
 
 `g.open` is the same function as `g.load`; `from goniotwin import *` leaves it out, for it would hide Python's own `open`.
-Whatever a file or an argument can do wrong is raised as `GoniotwinError`: one line with what, where and the remedy.
+A mistake in a file or an argument raises `GoniotwinError`: one line with what, where and the remedy.
 """
 
 from typing import TYPE_CHECKING

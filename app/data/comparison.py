@@ -166,7 +166,11 @@ class LightComparison(ReadOnlyArrays):
 
 @dataclass(frozen=True, eq=False)
 class DatasetComparison:
-    """The comparison of two datasets, light by light. `notes` are what it assumes and what it leaves out."""
+    """The comparison of two datasets, light by light.
+
+    `first` and `second` are the datasets, `range` the directions of formula 5, and `lights` the comparison of each light.
+    `notes` state what it assumes and what it leaves out.
+    """
 
     first: Dataset
     second: Dataset
@@ -176,19 +180,19 @@ class DatasetComparison:
 
     @property
     def relative_rms_percent(self) -> float:
-        """Formula 5 over the directions of all lights together."""
+        """Formula 5 over the directions of all lights together, in %."""
         squares = [each.count * each.relative_rms_percent**2 for each in self.lights if each.count]
         count = sum(each.count for each in self.lights)
         return math.sqrt(math.fsum(squares) / count) if count else math.nan
 
     @property
     def by_sigma(self) -> dict[float, float]:
-        """Formula 5 of each incidence, %; of several lights of one incidence the last."""
+        """Formula 5 in % by incidence. If several lights have the same incidence, it is that of the last one."""
         return {each.light.sigma_deg: each.relative_rms_percent for each in self.lights}
 
     @property
     def simulated(self) -> bool:
-        """Whether any of the two is simulated."""
+        """Whether either of the two is simulated."""
         return self.first.simulated or self.second.simulated
 
     def as_dict(self) -> dict[str, Any]:
@@ -219,11 +223,12 @@ def compare(
     least_share: float = LEAST_SHARE,
     in_plane: bool = False,
 ) -> DatasetComparison:
-    """Compare two datasets, or files, of one sample each: formula 5, z, chi-square; at the directions of the first.
+    """Compare two datasets, or files, of one sample each: formula 5, z and chi-square at the directions of the first.
 
-    `theta_deg`, `polar_deg`, `least_share` and `in_plane` are the range of formula 5, see `Range`; the paper's figure 13 is
-    theta to twice the width of the lobe, in the plane of incidence. Raises GoniotwinError for what cannot be opened, for
-    several samples, and where the two have no light or no direction in common.
+    Four arguments limit the directions of formula 5: `theta_deg` and `polar_deg` are their largest angles, `least_share` the
+    least value over the largest one, and `in_plane` restricts them to the plane of incidence. In the paper's figure 13, theta
+    goes to twice the width of the lobe, in the plane of incidence. Raises GoniotwinError for a file that cannot be opened, for
+    several samples, and if the two have no light or no direction in common.
     """
     for each in (first, second):
         if isinstance(each, str) and is_model(each):
@@ -270,8 +275,9 @@ def compare_figure_13(rig: RigDescription, sample: str, points: BsdfPoints) -> D
 def theory(dataset: Dataset | StrPath, sample: str | None = None) -> Dataset:
     """The known BSDF of a model at the directions of a dataset, exact: u is 0.
 
-    `sample` is a model as in `goniotwin simulate sample`; without it, it is that of the virtual rig with which the journal
-    was measured. Raises GoniotwinError for a dataset of a real rig or of a file, and for a text that is no model.
+    `sample` is a model as in `goniotwin simulate sample`. Without it, it is the sample of the virtual rig on which the journal
+    was measured. Raises GoniotwinError for a text that is no model and, without `sample`, for a dataset of a real rig or of a
+    file.
     """
     like = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     data = like.only

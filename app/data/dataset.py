@@ -62,11 +62,14 @@ MOST_OF_COVARIANCE = 5000
 class Dataset:
     """BSDF values with their directions, from a journal, a file or a simulation; all in memory.
 
-    The arrays are of one sample: where there are several, choose one, `dataset["paper"]`. `name` is that of the campaign or of
-    the file, `origin` what it was: "journal", "simulation" or the name of a format. `notes` are remarks for the reader of the
-    values, `findings` those that state what is wrong with the instrument. `file` is the content of the file; of a journal
-    `reduced` is the whole reduction, and `whole` is whether all of its values are there. No array that is reached from here can
-    be written; what numpy makes of them by arithmetic or by a mask can. What an argument can do wrong raises GoniotwinError.
+    The arrays are of one sample. If there are several samples, choose one: `dataset["paper"]`. `name` is the name of the
+    campaign or of the file. `origin` is "journal", "simulation" or the name of a format. `notes` are remarks for the reader of
+    the values. `findings` state what is wrong with the instrument.
+
+    You cannot write to the arrays. Copy one first, or compute a new one from it. A wrong argument raises GoniotwinError.
+
+    `data`, `only`, `file`, `reduced` and `whole` are for other parts of the program, and not public. `file` is the content of
+    the file, `reduced` the whole reduction of a journal, and `whole` whether all of its values are there.
     """
 
     name: str
@@ -138,7 +141,7 @@ class Dataset:
 
     @property
     def metadata(self) -> Metadata:
-        """What is known about the measurement of the only sample: instrument, light, reference, operator and so on."""
+        """Facts about the measurement of the only sample: instrument, light, reference, operator and so on."""
         return self.only.metadata
 
     @property
@@ -187,7 +190,7 @@ class Dataset:
 
     @property
     def interval(self) -> Texts:
-        """The law (n,) of the interval: "linear", "logarithmic", "drawn", or "" where none is stated."""
+        """Kind (n,) of the interval of 95 %: "linear", "logarithmic" or "drawn"; "" where none is stated."""
         return self._column("interval")
 
     @property
@@ -202,7 +205,7 @@ class Dataset:
 
     @property
     def good(self) -> Flags:
-        """The values (n,) to be trusted: there is a number, and no flag against it."""
+        """Whether a value (n,) can be trusted: there is a number, and no flag against it."""
         return self.only.good
 
     @property
@@ -212,17 +215,17 @@ class Dataset:
 
     @property
     def psi_deg(self) -> Floats:
-        """Azimuth of the light (n,) in the sample's frame; 0 of an isotropic table."""
+        """Azimuth of the light (n,) in the sample's frame; 0 for an isotropic table."""
         return self._column("psi_deg")
 
     @property
     def theta_deg(self) -> Floats:
-        """Aspecular angle (n,): from the specular direction; of transmitted light from the direction straight through."""
+        """Aspecular angle (n,): from the specular direction, for transmitted light from the direction straight through."""
         return self._column("theta_deg")
 
     @property
     def phi_deg(self) -> Floats:
-        """Azimuth (n,) about that direction: 0 in the plane of incidence towards the normal."""
+        """Azimuth (n,) about the specular direction: 0 in the plane of incidence towards the normal."""
         return self._column("phi_deg")
 
     @property
@@ -252,7 +255,7 @@ class Dataset:
 
     @property
     def back(self) -> Flags:
-        """Whether the sample is lit on its back (n,); the frame is then that of the sample turned about x."""
+        """Whether the sample is lit on its back (n,). The frame is then that of the sample turned about x."""
         return self._column("back")
 
     @property
@@ -264,7 +267,7 @@ class Dataset:
 
     @with_names
     def where(self, chosen: Flags | Ints | Sequence[bool] | Sequence[int]) -> "Dataset":
-        """The values that a mask (n,) or a list of indices chooses."""
+        """The dataset of the values that a mask (n,) or a list of indices chooses."""
         data = self.only
         try:
             index: Any = np.asarray(chosen)
@@ -295,10 +298,10 @@ class Dataset:
         transmitted: bool | None = None,
         back: bool | None = None,
     ) -> "Dataset":
-        """The values at these angles and wavelengths, exact to the sixth decimal; a list of numbers takes each of them.
+        """The dataset of the values at these angles and wavelengths, exact to the sixth decimal.
 
-        At a pole (theta, or polar, 0) every azimuth is the same direction, so any phi (azimuth) selects it. Raises
-        GoniotwinError, with the nearest numbers that are there, for a number without a value.
+        A list of numbers selects each of them. At a pole (theta or polar angle 0) all azimuths are the same direction, so any
+        phi or azimuth selects it. A number without a value raises GoniotwinError with the nearest numbers that are there.
         """
         wanted = {
             "transmitted": transmitted,
@@ -368,11 +371,13 @@ class Dataset:
     ) -> ValueWithU:
         """The BSDF in any direction, interpolated between trusted values, with u: `value, u = d.at(...)`.
 
-        The direction is theta and phi, about the specular direction (phi need not be given at theta 0), or polar angle and
-        azimuth; arrays of directions and of wavelengths, which broadcast, give arrays, with NaN where there is no value.
-        Incidence and wavelength may be between those that are there; whatever has one value in the dataset need not be given.
-        u has what the values share, and an estimate of the interpolation's error (`app/data/interpolation.py`). Raises
-        GoniotwinError where there are no values around, further than 30 deg apart, with the nearest directions.
+        Give the direction as theta and phi about the specular direction, or as polar angle and azimuth. At theta 0 phi is not
+        needed. Arrays of directions and of wavelengths are broadcast, and give arrays, with NaN where there is no value.
+        Incidence and wavelength may lie between those of the dataset. You may leave out a quantity that has only one value in
+        the dataset.
+
+        u includes what the values share, and an estimate of the interpolation's error (`app/data/interpolation.py`). A
+        direction raises GoniotwinError, with the nearest ones, if there are no values around it less than 30 deg apart.
         """
         light = {
             "sigma_deg": _number("sigma_deg", sigma_deg),
@@ -434,9 +439,9 @@ class Dataset:
     ) -> ValueWithU:
         """The directional-hemispherical reflectance (or transmittance) at one incidence: `value, u = d.reflectance(...)`.
 
-        An array of wavelengths gives arrays. u is by the covariance of the values: of a journal from all inputs of its
-        uncertainty, of a file by an assumption that `about` states. A regular part of the file is included. Raises
-        GoniotwinError where the directions do not cover the half sphere, and for an incidence without values.
+        An array of wavelengths gives arrays. For a journal, u follows from the covariance of the values, by all inputs of the
+        uncertainty. For a file it follows from an assumption, which `about` states. A regular part of the file is included.
+        Raises GoniotwinError if the directions do not cover the hemisphere, and for an incidence without values.
         """
         light = {
             "sigma_deg": _number("sigma_deg", sigma_deg),
@@ -473,8 +478,8 @@ class Dataset:
     def covariance(self) -> Floats:
         """The covariance (n, n) of the values, 1/sr squared; NaN where there is no value.
 
-        Of a journal it is by all inputs of the uncertainty. Of a file `u_shared` counts as common to all values, or all of u
-        where the file does not divide it. Raises GoniotwinError for more than 5,000 values.
+        For a journal it is by all inputs of the uncertainty. For a file `u_shared` counts as common to all values, or all of u
+        if the file does not divide it. Raises GoniotwinError for more than 5,000 values.
         """
         if self.size > MOST_OF_COVARIANCE:
             raise UserError(f"covariance: of {self.size} values is too large; select at most {MOST_OF_COVARIANCE}")
@@ -498,10 +503,10 @@ class Dataset:
     ) -> "Dataset":
         """The dataset of a DataFrame, or of arrays by name: the columns of a dataset, or those of a CSV of the program.
 
-        `bsdf`, `sigma_deg`, and `theta_deg` with `phi_deg` or `polar_deg` with `azimuth_deg` are required; all else is what is
-        not known, as in a CSV. `sample` is the sample of each value. The columns are copied. Without `simulated` it is what
-        `to_dataframe` has noted, else False; without `isotropic` values with light from one azimuth are. Raises GoniotwinError,
-        which names the column.
+        `bsdf` and `sigma_deg` are required, and `theta_deg` with `phi_deg` or `polar_deg` with `azimuth_deg`. Any other column
+        may be missing; its values then count as not known, as in a CSV. `sample` names the sample of each value. The columns
+        are copied. Without `simulated`, the dataset is simulated if `to_dataframe` has noted it. Without `isotropic`, values
+        with light from one azimuth are isotropic. A wrong column raises GoniotwinError with its name.
         """
         if not isinstance(name, str):
             raise UserError(f"name: {quoted(name)}: give a text")
@@ -513,8 +518,8 @@ class Dataset:
     def save(self, path: StrPath, *, format: str | None = None) -> "Converted":
         """Write the values in any format that can be written, by the suffix of the path or by the name of the format.
 
-        It is what `goniotwin export` and `convert` write; of some of the values it is these. The result has the files and notes
-        on what the format could not hold. Raises GoniotwinError for what cannot be written.
+        The files are those of `goniotwin export` and `convert`. Of a selection only its values are written. The result has the
+        files, and notes on what the format could not hold. Raises GoniotwinError for values that cannot be written.
         """
         # The 0.2 s of HDF5 are of writing alone.
         from goniotwin.app.data.conversion import IN_PYTHON, Choice, convert_content, convert_reduced, format_to_write
@@ -547,7 +552,7 @@ class Dataset:
         return to_dataframe(self.only, self._attributes())
 
     def to_xarray(self) -> "xarray.Dataset":
-        """A Dataset of xarray: `bsdf`, `u` and `flags`, a table over the axes of its grid, all else over `value`.
+        """A Dataset of xarray. `bsdf`, `u` and `flags` are tables over the axes of the grid; everything else is over `value`.
 
         Each has its unit and a long name. Needs the extra `xarray`.
         """

@@ -33,10 +33,10 @@ LONG_ROWS = 3_000
 
 @with_names
 def open_dataset(path: StrPath, *, without_damaged: bool = False) -> Dataset:
-    """Open a journal, or any file that can be read, as a dataset in memory; nothing stays open.
+    """Open a journal, or any file that can be read, as a dataset in memory. Nothing stays open.
 
-    What the file is, is found by its content. Of a damaged journal only `without_damaged` gives a dataset: its damaged rows
-    then have no values. Raises GoniotwinError for whatever a path or a file can have wrong.
+    The content decides what the file is, not its name. A damaged journal gives a dataset only with `without_damaged`; its
+    damaged rows then have no values. A wrong path or file raises GoniotwinError.
     """
     if not isinstance(path, str | os.PathLike):
         raise UserError(f"{quoted(path)} is not a path; give the name of a journal or of a file")

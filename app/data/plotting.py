@@ -31,12 +31,13 @@ def plot(
 ) -> Figure:
     """Draw the values of one sample, of a dataset or a file, or a comparison; returns the matplotlib figure, not shown yet.
 
-    "cuts": the plane of incidence at each sigma. "hemisphere": a map of all directions at each sigma. "polar": the plane of
-    incidence as a polar diagram. "spectrum": some directions over the wavelength. Bands are the values with two standard
-    uncertainties. `sigma_deg`, `psi_deg` and `wavelength_nm` choose among the values; without them all sigmas are drawn (of
-    many some), the first psi, and the middle wavelength or the green colour. `log` chooses the scale. A comparison has one
-    picture: profiles and deviations, of all its lights or some. `ax` are axes to draw on, a list of them where the picture has
-    several panels. Raises GoniotwinError.
+    There are four kinds. "cuts" shows the plane of incidence at each sigma, and "hemisphere" a map of all directions at each
+    sigma. "polar" is a polar diagram of the plane of incidence, and "spectrum" shows some directions over the wavelength. A
+    comparison has one kind: profiles and deviations of its lights. Bands show U (k = 2).
+
+    `sigma_deg`, `psi_deg` and `wavelength_nm` choose among the values. Without them you see all sigmas (some, if there are
+    many), the first psi, and the middle wavelength or the green colour. `log` chooses the scale. `ax` are axes to draw on, a
+    list of them if the figure has several panels. A wrong argument raises GoniotwinError.
     """
     if isinstance(dataset, DatasetComparison):
         if kind != "cuts" or (sigma_deg, psi_deg, wavelength_nm) != (None, None, None):

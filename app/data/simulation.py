@@ -32,13 +32,15 @@ def simulate(
 ) -> Dataset:
     """Simulate the BSDF of a sample as the instrument measures it, by the fast estimator (paper, figure 7).
 
-    `sample` is a model as in `goniotwin simulate sample`; `sigma_deg` are angles of incidence in degrees, from 0 to less
-    than 90, ascending; `wavelengths_nm` in nanometres, from 200 to 2500, ascending, or None for grey values. `psi_deg` are
-    azimuths of the light in the frame of an anisotropic sample, from 0 to less than 360, ascending; None is those of its table,
-    or every 15 deg. With `back` the light is on the back of the sample; with `transmitted` the detectors are on the other side
-    of it than the light. The values are those of the virtual detectors, `u` their standard errors. They contain what the
-    detectors see of a regular component (a mirror's); with `regular_apart` it is a regular factor of its own. Raises
-    GoniotwinError for a model or a grid that cannot be simulated.
+    `sample` is a model as in `goniotwin simulate sample`. `sigma_deg` are angles of incidence in degrees, from 0 to less than
+    90. `wavelengths_nm` are wavelengths from 200 to 2500 nm; without them the values are grey. `psi_deg` are azimuths of the
+    light in the frame of an anisotropic sample, from 0 to less than 360. Without them they are those of its table, or every 15
+    deg. All of these lists ascend.
+
+    With `back` the light is on the back of the sample. With `transmitted` the detectors are on the other side of the sample.
+    The values are those of the virtual detectors, and `u` are their standard errors. They include what the detectors see of a
+    regular component (a mirror's). With `regular_apart` this component is a regular factor of its own. Raises GoniotwinError
+    for a model or a grid that cannot be simulated.
     """
     if not isinstance(sample, str):
         raise UserError(f"sample: {quoted(sample)} is not a text; give a model such as 'gaussian:width_deg=5'")

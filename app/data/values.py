@@ -158,9 +158,9 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class ValueWithU(ReadOnlyArrays):
-    """A value with its standard uncertainty `u`, both in `unit`; `value, u = result` takes them apart.
+    """A value with its standard uncertainty `u`, both in `unit`. Write `value, u = result` to get both.
 
-    Of several directions they are arrays. `about` are remarks: what the value is of, and what u assumes.
+    For several directions they are arrays. `about` are remarks: what the value is of, and what u assumes.
     """
 
     value: Any

@@ -54,6 +54,10 @@ WORDS = {
 """By type of JSON Schema, the words for one value and for several."""
 CHOICES = ("kind", "model")
 """Keys that decide which keys a table has."""
+MADE = ("Dataset", "DatasetComparison")
+"""Classes whose instances functions of the package make."""
+INNER = ("data", "only", "reduced", "whole", "file")
+"""Attributes of a dataset that other parts of the program use. They are not public, and not on the page of the API."""
 FEW = 3
 """Keys of a table that is shown in one line."""
 
@@ -265,9 +269,11 @@ def api() -> str:
     names = [each for each in dir(goniotwin) if each not in ("__version__", "open_dataset", "open")]
     parts = []
     for name in names:
-        kind = "autofunction" if not isinstance(getattr(goniotwin, name), type) else "autoclass"
-        members = "\n   :members:" if kind == "autoclass" else ""
-        parts.append(f"## {name}\n\n```{{eval-rst}}\n.. {kind}:: goniotwin.{name}{members}\n```")
+        is_class = isinstance(getattr(goniotwin, name), type)
+        made = "()" if name in MADE else ""  # without the arguments of its constructor
+        members = f"\n   :members:\n   :exclude-members: {', '.join(INNER)}" if is_class else ""
+        kind = "autoclass" if is_class else "autofunction"
+        parts.append(f"## {name}\n\n```{{eval-rst}}\n.. {kind}:: goniotwin.{name}{made}{members}\n```")
     return "\n\n".join(parts)
 
 

@@ -1,15 +1,13 @@
 """The pages of keys: each key has a meaning of its own in short sentences, and its value is shown in the forms that it has."""
 
-import importlib.util
 import re
 from collections import Counter
-from types import ModuleType
 from typing import Any
 
 import pytest
 
 from goniotwin.app.toml_file import SENTENCE_END, json_schema
-from tests.docs.snippets import DOCS
+from tests.docs.reference import reference
 from tests.docs.words import LONGEST, prose
 
 KINDS = ["rig", "schedule", "tolerances"]
@@ -18,20 +16,9 @@ MOST_SHARED = 5
 GRID = "list of numbers (deg), of tables [`{ start, stop, step }`](#schedule-gridrange), or of both; or one such table"
 
 
-@pytest.fixture(scope="module")
-def reference() -> ModuleType:
-    """The extension of the site that makes these pages."""
-    spec = importlib.util.spec_from_file_location("reference", DOCS / "extensions" / "reference.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def tables(reference: ModuleType, kind: str) -> dict[str, Any]:
+def tables(kind: str) -> dict[str, Any]:
     """The tables of a file, with the file itself, by name."""
-    schema = json_schema(reference.TABLES[kind](), kind)
+    schema = json_schema(reference().TABLES[kind](), kind)
     return {kind: schema, **schema["$defs"]}
 
 
@@ -44,10 +31,10 @@ def rows(page: str, key: str) -> list[list[str]]:
     return [row.strip("| ").split(" | ") for row in page.splitlines() if row.startswith(f"| `{key}` |")]
 
 
-def test_few_keys_share_all_their_sentences_with_another_key(reference: ModuleType) -> None:
+def test_few_keys_share_all_their_sentences_with_another_key() -> None:
     shared = []
     for kind in KINDS:
-        for name, table in tables(reference, kind).items():
+        for name, table in tables(kind).items():
             used = Counter(each for value in table["properties"].values() for each in sentences(value))
             own = {key: [used[each] for each in sentences(value)] for key, value in table["properties"].items()}
             shared += [f"{name}.{key}" for key, counts in own.items() if min(counts) > 1]
@@ -55,15 +42,15 @@ def test_few_keys_share_all_their_sentences_with_another_key(reference: ModuleTy
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_sentence_about_a_key_or_a_table_is_long(kind: str, reference: ModuleType) -> None:
-    for name, table in tables(reference, kind).items():
+def test_no_sentence_about_a_key_or_a_table_is_long(kind: str) -> None:
+    for name, table in tables(kind).items():
         for described in (table, *table["properties"].values()):
             assert prose(described["description"]).long == [], (name, LONGEST)
 
 
 @pytest.mark.parametrize("key", ["sigma_deg", "gamma_deg", "beta_deg", "shift_deg"])
-def test_a_grid_is_a_list_of_numbers_or_of_ranges_or_one_range(key: str, reference: ModuleType) -> None:
-    values = {value for _, value, *_ in rows(reference.keys("schedule"), key)}
+def test_a_grid_is_a_list_of_numbers_or_of_ranges_or_one_range(key: str) -> None:
+    values = {value for _, value, *_ in rows(reference().keys("schedule"), key)}
     assert GRID in values
     assert values <= {GRID, "number, deg"}  # the pose of the drift checks
 
@@ -81,13 +68,13 @@ def test_a_grid_is_a_list_of_numbers_or_of_ranges_or_one_range(key: str, referen
         ("tolerances", "variants", "list of tables [`[[variants]]`](#tolerances-varianttable)"),
     ],
 )
-def test_a_value_is_shown_in_all_its_forms(kind: str, key: str, value: str, reference: ModuleType) -> None:
-    assert value in [each for _, each, *_ in rows(reference.keys(kind), key)]
+def test_a_value_is_shown_in_all_its_forms(kind: str, key: str, value: str) -> None:
+    assert value in [each for _, each, *_ in rows(reference().keys(kind), key)]
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_link_stands_for_two_tables_and_each_leads_somewhere(kind: str, reference: ModuleType) -> None:
-    page = reference.keys(kind)
+def test_no_link_stands_for_two_tables_and_each_leads_somewhere(kind: str) -> None:
+    page = reference().keys(kind)
     anchors = set(re.findall(r"^\((.*)\)=$", page, re.MULTILINE))
     for row in page.splitlines():
         links = re.findall(r"\[([^]]*`[^`]*`)\]\(#([\w-]+)\)", row)

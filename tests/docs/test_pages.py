@@ -1,5 +1,6 @@
 """What particular pages state, beyond that their commands and snippets run: numbers, pictures, and that nothing is missing."""
 
+import inspect
 import json
 import re
 from pathlib import Path
@@ -11,15 +12,15 @@ from matplotlib.figure import Figure
 import goniotwin
 from goniotwin.app.data.values import COLUMNS
 from goniotwin.app.figures.style import SIMULATED
+from tests.docs.reference import reference
 from tests.docs.snippets import DOCS, blocks, run_page
 from tests.docs.test_snippets import folder as folder  # a fixture
 from tests.docs.test_snippets import left_by_tutorial as left_by_tutorial
+from tests.docs.words import prose
 
 pytestmark = pytest.mark.xdist_group("pages")
 PYTHON = DOCS / "analyse" / "python.md"
 MOST_NAMES = 60
-INNER = {"data", "only", "reduced", "whole", "file"}
-"""Attributes of a dataset that other parts of the program use, and a page of the API's does not."""
 
 
 @pytest.fixture
@@ -46,11 +47,18 @@ def test_each_figure_of_the_python_page_is_marked_as_simulated(folder: Path, fig
 
 def test_each_public_name_has_an_example_and_they_are_few() -> None:
     of_dataset = {name for name in dir(goniotwin.Dataset) if not name.startswith("_")} | {"name", "origin", "notes", "findings"}
-    names = (of_dataset | set(dir(goniotwin)) - {"__version__"}) - INNER
+    names = (of_dataset | set(dir(goniotwin)) - {"__version__"}) - set(reference().INNER)
     used = set(re.findall(r"\w+", "\n".join(block.text for block in blocks(PYTHON))))
     assert names <= used
     assert set(COLUMNS) <= names
     assert len(names) <= MOST_NAMES
+
+
+def test_no_sentence_on_the_page_of_the_api_is_long() -> None:
+    public = [getattr(goniotwin, name) for name in dir(goniotwin) if name != "__version__"]
+    public += [value for each in public for name, value in vars(each).items() if not name.startswith("_")]
+    for each in public:
+        assert prose(inspect.getdoc(each) or "").long == [], each
 
 
 @pytest.mark.long

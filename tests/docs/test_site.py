@@ -13,6 +13,7 @@ import typer.main
 import goniotwin
 from goniotwin.app.cli.main import app
 from tests.conftest import REPOSITORY
+from tests.docs.reference import reference
 from tests.docs.snippets import DOCS
 from tests.system.command import invoke
 
@@ -80,6 +81,7 @@ def test_the_reference_has_each_public_name_and_each_table_of_the_journal(site: 
     api = (site / "reference" / "api.html").read_text(encoding="utf-8")
     for name in dir(goniotwin):
         assert f'id="goniotwin.{name}"' in api or name in ("__version__", "open", "open_dataset"), name
+    assert [name for name in reference().INNER if f'id="goniotwin.Dataset.{name}"' in api or f"{name}: " in api] == []
     journal = shown(site / "reference" / "journal-schema.html")
     assert set(re.findall(r"CREATE TABLE (\w+)", journal)) == {
         "campaign",
