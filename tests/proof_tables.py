@@ -113,12 +113,13 @@ def _pooled_rows(found: PooledTotals) -> tuple[list[str], str]:
     judged = [(f"{table}: {cell.label}", cell, reason) for table, cells in found.judged.items() for cell, reason in cells]
     rows = [_row("all but `steep`", each) for each in found.totals.tables.get("all", [])]
     rows += [_row(label, cell) for label, cell, _ in judged if judgeable(cell)]
-    missed = "; ".join(f"{label} ({reason})" for label, _, reason in judged if reason) or "none"
+    missed = [f"- {label} ({reason})" for label, _, reason in judged if reason]
     integrals, outside, deviations, beyond = found.outside
     text = (
-        f"{len(judged) - len(rows) + 1} cells of too few values are omitted. Cells that miss: {missed}. Of {integrals} "
-        f"reflectances and transmittances {outside} have chi2/n outside the limits of 99 %, {beyond} of {deviations} "
-        f"deviations are beyond 2.58 u. Variance of the fitted inputs over u^2: {found.totals.variance_shared:.2f}."
+        f"{len(judged) - len(rows) + 1} cells of too few values are omitted. Of {integrals} reflectances and transmittances "
+        f"{outside} have chi2/n outside the limits of 99 %, and {beyond} of {deviations} deviations are beyond 2.58 u. "
+        f"Variance of the fitted inputs over u^2: {found.totals.variance_shared:.2f}. "
+        + "\n".join(["Cells that miss:\n", *missed] if missed else ["No cell misses."])
     )
     return rows, text
 
