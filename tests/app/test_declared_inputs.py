@@ -1,5 +1,6 @@
 """Inputs that are declared here alone, and what follows from that: keys, draws, budgets, covariances, closure and documents."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -48,6 +49,7 @@ step_deg = 0.25
 """
 TEXT = DOCUMENT.read_text(encoding="utf-8")
 MODEL = DOCUMENT.with_name("uncertainty.md")
+TEXT_OF_MODEL = MODEL.read_text(encoding="utf-8")
 DECLARED_HERE = frozenset({"sample_frame", "etalon_stain"})
 
 
@@ -202,6 +204,16 @@ def test_a_factor_of_no_path_is_refused_and_so_is_one_of_the_name_of_a_component
 
 def test_the_document_has_each_component() -> None:
     """Components that follow from a step have no declaration: the table of them is written by hand."""
-    table = MODEL.read_text(encoding="utf-8").partition("| component | what it is |")[2].partition("\n\n")[0]
+    table = TEXT_OF_MODEL.partition("| component | in a budget | what it is |")[2].partition("\n\n")[0]
     names = {*kinds()} - DECLARED_HERE
     assert [name for name in sorted(names) if f"`{name.partition('[')[0]}`" not in table] == []
+
+
+def test_the_document_explains_each_line_of_a_budget(journal: Path) -> None:
+    """Each factor of a product: it is a line of a component, or the input of a key."""
+    with Journal.open(journal) as opened:
+        lines = budget_of_value(evaluate_journal(opened).reduction, {"zenith": 20.0, "azimuth": 180.0}).components
+    words = {word for each in lines for word in re.sub(r"[\[@].*", "", each.name).split("*")}
+    of_keys = {name for each in inputs() for name in each.targets}
+    assert {"gain_ratio", "etalon_reading"} <= words
+    assert [word for word in sorted(words - of_keys) if not re.search(rf"`{word}[`*\[@]", TEXT_OF_MODEL)] == []
