@@ -11,7 +11,7 @@ import math
 import re
 import secrets
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import is_dataclass
 from datetime import date, datetime
 from functools import cache
@@ -177,10 +177,11 @@ def json_schema(table: Any, title: str) -> dict[str, Any]:
     """
     schema = _reader(table).json_schema(schema_generator=_FileSchema)
     tables = (schema, *schema["$defs"].values())
-    sentences = [key_sentences(each["description"], [*each["properties"]]) for each in tables]
-    for each, own in zip(tables, sentences, strict=True):
-        each["description"] = " ".join(own[""] or each["description"].split())
-    for each, own in zip(tables, sentences, strict=True):
+    texts = [each["description"] for each in tables]
+    for each, text in zip(tables, texts, strict=True):
+        each["description"] = _about_table(text, [*each["properties"]])
+    for each, text in zip(tables, texts, strict=True):
+        own = key_sentences(text, [*each["properties"]])
         for key, value in each["properties"].items():
             if about := own[key] or _first_sentences(value, schema["$defs"]):
                 value["description"] = " ".join(about)
@@ -195,18 +196,34 @@ def key_sentences(text: str, keys: Sequence[str]) -> dict[str, list[str]]:
     that begins no sentence has those of the table that name it.
     """
     found: dict[str, list[str]] = {"": [], **{key: [] for key in keys}}
-    for paragraph in re.split(r"\n\s*\n", text.strip()):
+    for _, named, meaning in _attributed(text, keys):
+        for key in named:
+            found[key] += [] if meaning in found[key] else [meaning]
+    for key in keys:
+        found[key] = found[key] or [each for each in found[""] if f"`{key}`" in each]
+    return found
+
+
+def _attributed(text: str, keys: Sequence[str]) -> Iterator[tuple[int, Sequence[str], str]]:
+    """Each sentence of a docstring: the number of its paragraph, its keys ("" for those of the table), and what it says."""
+    for number, paragraph in enumerate(re.split(r"\n\s*\n", text.strip())):
         named = [""]
         for sentence in SENTENCE_END.split(" ".join(paragraph.split())):
             meaning = _capitalized(sentence[title.end() :]) if (title := FIRST_TABLE.match(sentence)) else sentence
             if (first := FIRST_KEYS.match(sentence)) and (known := set(re.findall(r"\w+", first[0])) & set(keys)):
                 named = [key for key in keys if key in known]
                 meaning = _capitalized(sentence[first.end() :]) if first[1] else meaning
-            for key in named if meaning else ():
-                found[key] += [] if meaning in found[key] else [meaning]
-    for key in keys:
-        found[key] = found[key] or [each for each in found[""] if f"`{key}`" in each]
-    return found
+            if meaning:
+                yield number, named, meaning
+
+
+def _about_table(text: str, keys: Sequence[str]) -> str:
+    """The sentences of a docstring that are those of the table, each once, in its paragraphs; all of them if there are none."""
+    paragraphs: dict[int, list[str]] = {}
+    for number, named, meaning in _attributed(text, keys):
+        if named == [""] and not any(meaning in each for each in paragraphs.values()):
+            paragraphs.setdefault(number, []).append(meaning)
+    return "\n\n".join(" ".join(each) for each in paragraphs.values()) or " ".join(text.split())
 
 
 def _capitalized(text: str) -> str:

@@ -99,9 +99,10 @@ class Link:
         self.places = [*dict.fromkeys(places)]
         self.address = address
         properties = table["properties"]
-        forms = {key: properties[key] for key in CHOICES if key in properties}
-        chosen = {key: each.get("const", each.get("enum", [""])[0]) for key, each in forms.items()}
-        self.choice = next((f'`{key} = "{chosen[key]}"`' for key in chosen if key == "model" or "const" in forms[key]), "")
+        chosen = {key: properties[key] for key in CHOICES if key in properties}
+        of_several = chosen.get("model", {}).get("enum", [""])[0]  # a model with an older name
+        choices = {key: each.get("const", of_several if key == "model" else "") for key, each in chosen.items()}
+        self.choice = next((f'`{key} = "{value}"`' for key, value in choices.items() if value), "")
         """The key that decides for this table among several."""
         self.small = ""
         if len(self.places) > 1 and len(properties) <= FEW and set(properties) == set(table.get("required", ())):
@@ -156,8 +157,9 @@ def name_of(reference: Any) -> str:
 def about(table: Any) -> str:
     """The sentences of a table's description that are not the meaning of a key as well."""
     meanings = " ".join(each.get("description", "") for each in table["properties"].values())
-    own = [each for each in SENTENCE_END.split(table["description"]) if each not in meanings]
-    return " ".join(own).replace("$", r"\$")
+    paragraphs = [SENTENCE_END.split(each) for each in table["description"].split("\n\n")]
+    own = [" ".join(each for each in paragraph if each not in meanings) for paragraph in paragraphs]
+    return "\n\n".join(filter(None, own)).replace("$", r"\$")
 
 
 def key_table(table: Any, links: dict[str, Link]) -> str:
@@ -193,8 +195,14 @@ def kind_of(key: str, value: Any, links: dict[str, Link], *, many: bool = False)
         return "table" if "not" in inner else f"{kind_of(key, inner, links, many=True)}, by name"
     if value.get("format") == "date":
         return "date"
-    bounds = " and ".join(f"{sign} {value[name]:g}" for name, sign in BOUNDS.items() if name in value)
+    bounds = " and ".join(f"{sign} {exact(value[name])}" for name, sign in BOUNDS.items() if name in value)
     return ", ".join(each for each in (f"{WORDS[value['type']][many]} {bounds}".strip(), unit_of(key, value)) if each)
+
+
+def exact(number: float) -> str:
+    """A bound as text: short, unless that would be another number."""
+    short = f"{number:g}"
+    return short if float(short) == number else str(number)
 
 
 def forms_of(key: str, forms: list[Any], links: dict[str, Link], *, many: bool) -> str:

@@ -204,7 +204,7 @@ def test_a_factor_of_no_path_is_refused_and_so_is_one_of_the_name_of_a_component
 
 def test_the_document_has_each_component() -> None:
     """Components that follow from a step have no declaration: the table of them is written by hand."""
-    table = TEXT_OF_MODEL.partition("| component | in a budget | what it is |")[2].partition("\n\n")[0]
+    table = TEXT_OF_MODEL.partition("| component | what it is |")[2].partition("\n\n")[0]
     names = {*kinds()} - DECLARED_HERE
     assert [name for name in sorted(names) if f"`{name.partition('[')[0]}`" not in table] == []
 

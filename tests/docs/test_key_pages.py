@@ -61,6 +61,7 @@ def test_a_grid_is_a_list_of_numbers_or_of_ranges_or_one_range(key: str) -> None
         ("rig", "axes", 'table with [`kind = "tmcl"`](#rig-tmclaxestable) or [no `kind`](#rig-axestable)'),
         ("rig", "gamma", 'table with [no `kind`](#rig-axissettings) or [`kind = "tmcl"`](#rig-tmclaxistable)'),
         ("rig", "reflectance", "number or list of numbers"),
+        ("rig", "rays", "whole number ≥ 16 and ≤ 1048576"),
         ("rig", "deviations", "tables [`[twin.deviations.NAME]`](#rig-deviation), by name"),
         ("schedule", "diattenuation", "numbers ≥ 0 and ≤ 1, by name"),
         ("schedule", "open_beam", "true or false or table [`[open_beam]`](#schedule-openbeamtable)"),
@@ -80,3 +81,10 @@ def test_no_link_stands_for_two_tables_and_each_leads_somewhere(kind: str) -> No
         links = re.findall(r"\[([^]]*`[^`]*`)\]\(#([\w-]+)\)", row)
         assert len({text for text, _ in links}) == len(set(links)), row
         assert {address for _, address in links} <= anchors, row
+
+
+def test_a_section_names_its_table_and_the_key_that_decides_for_it() -> None:
+    titles = re.findall(r"^## (.*)$", reference().keys("rig"), re.MULTILINE)
+    assert {"`[simulated]`", "`[axes]`", '`[axes]` with `kind = "tmcl"`', "`[photodiodes]`", "`[twin.controller]`"} <= {*titles}
+    assert '`[twin.samples.NAME]` with `model = "table"`' in titles
+    assert len(set(titles)) == len(titles)
