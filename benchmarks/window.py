@@ -13,6 +13,11 @@ time_left_error_percent: by simulation speed, how far the time left that the win
 examples/schedules/quick.toml is from the time that the run then takes; time_left has the seconds. At 1x this takes five
 minutes: not with `--quick`.
 map_p99_ms: the 99th percentile of the time that it takes to add a scan to a hemisphere of MAP_POINTS points and to paint it.
+
+results_first_s: time from the opening of a journal of 900,000 values to the picture of the first setting on the screen Results,
+the start of the worker included; results_whole_s: to the pictures by all values. results_choice_ms: the median of the time
+that a choice of another wavelength takes; results_worker_mb: the largest memory of the worker. The journal takes minutes to
+make: with `--results` alone.
 """
 
 import argparse
@@ -23,7 +28,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -256,6 +261,76 @@ def hemisphere() -> dict[str, Any]:
     return {"map_p99_ms": 1e3 * percentile(frames), "map_median_ms": 1e3 * statistics.median(frames)}
 
 
+RESULTS = """
+name = "results"
+samples = ["satin"]
+etalon = "etalon"
+sigma_deg = [15, 45]
+beta_deg = { start = 0, stop = 180, step = 10 }
+shift_deg = { start = 0, stop = 4.5, step = 0.5 }
+wavelength_nm = { start = 400, stop = 725, step = 5 }
+gains_v_per_a = [1e10]
+readings = 2
+dark_readings = 8
+"""
+CHOICES = 20
+
+
+def results(journal: Path) -> dict[str, Any]:
+    """Open a journal on the screen Results; return times, and the memory of its worker (Linux)."""
+    import multiprocessing
+
+    from PySide6.QtWidgets import QApplication
+
+    from goniotwin.app.desktop.results.screen import ResultsScreen
+    from goniotwin.app.desktop.theme import LIGHT
+
+    application = QApplication(["goniotwin"])
+    screen = ResultsScreen(LIGHT)
+    screen.complete()
+    screen.resize(1180, 620)
+    screen.show()
+
+    def seconds(*, done: Callable[[], bool]) -> float:
+        begin = time.perf_counter()
+        while not done() and time.perf_counter() < begin + LONGEST_S:
+            application.processEvents()
+            time.sleep(0.001)
+        return time.perf_counter() - begin
+
+    time.sleep(READING_S)  # a person looks at the list of campaigns
+    screen.open_file(journal)
+    first = seconds(done=lambda: screen.shown is not None)
+    whole = first + seconds(
+        done=lambda: len(screen.lights) > 1 and screen.shown is not None and screen.shown.view == screen.wanted
+    )
+    times = []
+    for at in range(CHOICES):
+        screen._choose("colour", (7 * at + 3) % (len(screen.lights) // 2))
+        times.append(seconds(done=lambda: screen.shown is not None and screen.shown.view == screen.wanted))
+    (worker,) = [each for each in multiprocessing.active_children() if each.name == "results"]
+    lines = Path(f"/proc/{worker.pid}/status").read_text(encoding="utf-8").splitlines()
+    peak = next(int(line.split()[1]) for line in lines if line.startswith("VmHWM:"))
+    screen.shut_down()
+    return {
+        "results_first_s": first,
+        "results_whole_s": whole,
+        "results_choice_ms": 1e3 * statistics.median(times),
+        "results_worker_mb": peak * 1024 / 1e6,
+    }
+
+
+def write_results_journal(path: Path) -> None:
+    """Write the journal of a spectral campaign of 900,000 values."""
+    from goniotwin import examples
+    from goniotwin.app.campaign.planning.plan import make_plan
+    from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
+    from goniotwin.app.campaign.schedule.file import parse_schedule
+    from goniotwin.app.rig import read_rig
+
+    run_without_wires(make_plan(parse_schedule(RESULTS, "results.toml"), read_rig(examples.FIRST_RIG)), path)
+
+
 def percentile(values: Sequence[float]) -> float:
     """The 99th percentile."""
     return statistics.quantiles(values, n=100, method="inclusive")[PERCENT - 1]
@@ -283,10 +358,20 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--repeats", type=int, default=3, help="number of starts")
     parser.add_argument("--quick", action="store_true", help="without the time left, which takes six minutes")
+    parser.add_argument("--results", action="store_true", help="the screen Results alone, on a journal that is made first")
     parser.add_argument("--part", help=argparse.SUPPRESS)
     options = parser.parse_args()
+    if options.results:
+        with TemporaryDirectory() as folder:
+            journal = Path(folder) / "results.journal"
+            write_results_journal(journal)
+            print(json.dumps(measure(str(journal))))
+        return
     if options.part is not None:
         parts = {"first": first_window, "run": run, "map": hemisphere}
+        if options.part.endswith(".journal"):
+            print(json.dumps(results(Path(options.part))))
+            return
         print(json.dumps(parts[options.part]() if options.part in parts else time_left(float(options.part))))
         return
     starts = [measure("first") for _ in range(options.repeats)]
