@@ -298,6 +298,7 @@ def results(journal: Path) -> dict[str, Any]:
             time.sleep(0.001)
         return time.perf_counter() - begin
 
+    screen.begin()
     time.sleep(READING_S)  # a person looks at the list of campaigns
     screen.open_file(journal)
     first = seconds(done=lambda: screen.shown is not None)

@@ -114,6 +114,8 @@ class MainView(QWidget):
         self._stack.setCurrentIndex(number)
         self.navigation.show_chosen(number)
         self.screen_shown.emit(number)
+        if SCREENS[number] in (CampaignsScreen, ResultsScreen):
+            self.screen_of(ResultsScreen).begin()
 
     def complete(self) -> None:
         """Make what takes long to load: icons and plots. Called once, after the window has been shown."""

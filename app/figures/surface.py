@@ -2,9 +2,10 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from matplotlib.tri import LinearTriInterpolator, Triangulation
+from matplotlib.tri import Triangulation
 
 from goniotwin.app.figures.description import Map
 from goniotwin.app.figures.hemisphere import EDGE_DEG, GAPS, WIDEST_DEG
@@ -42,7 +43,7 @@ def surface(drawn: Map) -> Surface | None:
     (x, y, values), shown = (each[order] for each in (x, y, values)), shown[order]
     if order.size <= 3 or min(np.ptp(x), np.ptp(y)) <= 1.0:
         return None
-    corners = Triangulation(x, y).triangles
+    corners = _triangulated(np.stack([x, y]).tobytes())
     sides = [np.hypot(*(each[corners[:, k]] - each[corners[:, k - 1]] for each in (x, y))) for k in range(3)]
     longest = np.max(sides, axis=0)
     limit = max(WIDEST_DEG, GAPS * float(np.quantile(longest, 0.95)))
@@ -51,6 +52,35 @@ def surface(drawn: Map) -> Surface | None:
 
 
 def image_of(found: Surface, shares: Floats, pixels: int) -> Floats:
-    """Shares (n,) of the bar over the surface, (pixels, pixels) from below to above; NaN where there is none."""
+    """Shares (n,) of the bar over the surface, (pixels, pixels) from below to above, linear in a triangle; NaN beside it."""
+    there, corners, weights = _pixels_of(np.stack([found.x, found.y]).tobytes(), found.triangles.tobytes(), pixels)
+    image = np.full(pixels * pixels, math.nan)
+    image[there] = (shares[corners] * weights).sum(axis=1)
+    return image.reshape(pixels, pixels)
+
+
+# All wavelengths have the same directions: their triangles are found once.
+
+
+@lru_cache(maxsize=8)
+def _triangulated(places: bytes) -> Ints:
+    """The triangles between places (2, n)."""
+    corners: Ints = Triangulation(*np.frombuffer(places).reshape(2, -1)).triangles
+    return corners
+
+
+@lru_cache(maxsize=4)
+def _pixels_of(places: bytes, triangles: bytes, pixels: int) -> tuple[Ints, Ints, Floats]:
+    """The pixels within triangles: their indices (k,), the corners (k, 3) of the triangle of each, and weights of these."""
+    x, y = np.frombuffer(places).reshape(2, -1)
+    corners = np.frombuffer(triangles, dtype=np.int32).reshape(-1, 3)
     middle = EDGE_DEG * ((np.arange(pixels) + 0.5) * 2.0 / pixels - 1.0)
-    return np.ma.filled(LinearTriInterpolator(found.mesh, shares)(*np.meshgrid(middle, middle)), math.nan)
+    across, up = (each.ravel() for each in np.meshgrid(middle, middle))
+    which = Triangulation(x, y, corners).get_trifinder()(across, up)
+    there = np.flatnonzero(which >= 0)
+    of = corners[which[there]]
+    (x0, x1, x2), (y0, y1, y2) = x[of].T, y[of].T
+    double = (y1 - y2) * (x0 - x2) + (x2 - x1) * (y0 - y2)
+    right, above = across[there] - x2, up[there] - y2
+    first, second = ((y1 - y2) * right + (x2 - x1) * above) / double, ((y2 - y0) * right + (x0 - x2) * above) / double
+    return there, of, np.stack([first, second, 1.0 - first - second], axis=1)

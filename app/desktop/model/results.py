@@ -34,6 +34,8 @@ from goniotwin.twin.optics.geometry.coordinates import zenith_and_azimuth
 
 MOST_CHECKED = 100_000
 """Values of a journal up to which its verdicts are computed unasked: 4 s."""
+WAIT_S = 1.0
+"""Longest wait for the request to show what has been read first."""
 LARGEST, LEAST_SHARE = 5, 0.005
 """Components of a value that are named, and the least share of its u squared that is."""
 ENDED = "the process that reads it was ended by another program, or memory was short; open it again"
@@ -107,8 +109,8 @@ class ResultsFailed:
 
 
 Answer = Opened | Checked | Answered | ResultsFailed
-Request = tuple[int, Path | View | Check]
-"""The number of the file, and the file to open, or what to show of it."""
+Request = tuple[int, Path | View | Check | None]
+"""The number of the file, and the file to open, or what to show of it; None begins."""
 
 
 def value_texts(shown: Shown, index: int) -> tuple[str, str, str]:
@@ -175,6 +177,8 @@ def serve_results(connection: "Connection[Any, Any]") -> None:
             answer = ResultsFailed(number, f"{type(error).__name__}: {error}")
         if answer is not None:
             connection.send(answer)
+        if isinstance(answer, Opened) and not answer.whole:
+            connection.poll(WAIT_S)  # what comes first is shown before the rest is read
 
 
 class _Work:
@@ -193,6 +197,8 @@ class _Work:
         if isinstance(wanted, Check):
             with Journal.open(self._path) as opened:
                 return Checked(number, tuple(verify_journal(evaluate_journal(opened))))
+        if wanted is None and self.steps is None:
+            return None  # the process has started
         if wanted is not None:
             self._results = None  # its memory is free for the next one
             self._path, self.steps = wanted, open_in_parts(wanted)
@@ -218,12 +224,18 @@ class ResultsReader:
         self._opening = False
         self._number = 0
 
+    def begin(self) -> None:
+        """Start the worker, which takes a second or two, before a file is opened."""
+        if self._worker is None:
+            self._worker = Worker("results", serve_results, self._deliver, process=self._process)
+            self._worker.put((self._number, None))
+
     def open(self, path: Path) -> None:
         """Open a file in place of the one that is open, or is being opened; return at once."""
         if self._opening:
             self.close()
-        if self._worker is None:
-            self._worker = Worker("results", serve_results, self._deliver, process=self._process)
+        self.begin()
+        assert self._worker is not None
         self._number, self._opening = self._number + 1, True
         self._worker.put((self._number, path))
 

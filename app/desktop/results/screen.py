@@ -166,6 +166,11 @@ class ResultsScreen(Screen):
         disc.setHidden(self._narrow)
         return disc, plot, lobe
 
+    def begin(self) -> None:
+        """Start what opens files, as a person looks for one."""
+        if self._reader is not None:
+            self._reader.begin()
+
     def set_folder(self, folder: Path) -> None:
         """Take the folder in which a file is looked for first."""
         self._folder = folder
