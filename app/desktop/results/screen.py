@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QSize, Qt, Signal, Slot
 from PySide6.QtGui import QStandardItemModel
-from PySide6.QtWidgets import QComboBox, QGridLayout, QHBoxLayout, QLabel, QSplitter, QStackedWidget, QVBoxLayout
+from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSplitter, QStackedWidget, QVBoxLayout
 
 from goniotwin.app.desktop import model
 from goniotwin.app.desktop.dialogs import FileDialog, TextBox
@@ -81,7 +81,8 @@ class ResultsScreen(Screen):
         self.heading.setWordWrap(True)
         self.heading.setTextFormat(Qt.TextFormat.PlainText)
         self.heading.setAccessibleName("The file that is shown")
-        head = QHBoxLayout()
+        head, self._light_row = QHBoxLayout(), QHBoxLayout()
+        self._head = head
         self.check_button = self._button("Chec&ks", "The verdicts on the campaign, with what to do", self._show_checks)
         self.export_button = self._button(
             "E&xport…", "Export this campaign to a file", lambda: self.export_wanted.emit(self._path)
@@ -90,8 +91,8 @@ class ResultsScreen(Screen):
             "Rep&ort…", "Write the report of this campaign", lambda: self.report_wanted.emit(self._path)
         )
         buttons = (self.open_button, self.again_button, self.check_button, self.export_button, self.report_button)
-        for part in (*buttons, self._mark, self.heading):
-            head.addWidget(part, 1 if part is self.heading else 0)
+        for part in buttons:
+            head.addWidget(part)
         self.picture, self.comparison = QComboBox(), QComboBox()
         self.picture.addItems(list(PICTURES.values()))
         self.comparison.addItems(COMPARISONS)
@@ -105,14 +106,17 @@ class ResultsScreen(Screen):
             choice.setMinimumContentsLength(12)
             choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.choices = {field: QComboBox() for field in FIELDS}
-        self.only = {field: QLabel() for field in FIELDS}
-        self._grid = QGridLayout()
+        self.only = QLabel()
+        self.only.setAccessibleName("What all values have in common")
+        self._light_row.addWidget(self.only)
         for field, name in FIELDS.items():
             self.choices[field].activated.connect(lambda at, field=field: self._choose(field, at))
             self.choices[field].setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
-            for each in (self.choices[field], self.only[field]):
-                each.setAccessibleName(name)
-                each.setToolTip(name)
+            self.choices[field].setAccessibleName(name)
+            self.choices[field].setToolTip(name)
+            self._light_row.addWidget(self.choices[field])
+        for each in (self.picture, self.comparison):
+            self._light_row.addWidget(each)
         self.plots = QSplitter(Qt.Orientation.Horizontal)
         self.plots.setChildrenCollapsible(False)
         self.plots.setAccessibleName("Hemisphere and cut of the results")
@@ -122,7 +126,7 @@ class ResultsScreen(Screen):
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(4)
         layout.addLayout(head)
-        layout.addLayout(self._grid)
+        layout.addLayout(self._light_row)
         layout.addWidget(self.plots, 1)
         layout.addStretch(0)
         for label, name in zip(self.texts, AT_CURSOR, strict=True):
@@ -188,14 +192,11 @@ class ResultsScreen(Screen):
 
     def fit(self, room: QSize) -> None:
         """Take less room for the choices, the map and the value where there is little."""
-        for at, field in enumerate(FIELDS):
-            row, column = divmod(at, 3 if room.width() < NARROW else len(FIELDS))
-            for each in (self.choices[field], self.only[field]):
-                self._grid.addWidget(each, row, column)
-        for at, choice in enumerate((self.picture, self.comparison)):
-            self._grid.addWidget(choice, 0 if room.width() >= NARROW else 2, len(FIELDS) + at if room.width() >= NARROW else at)
-        self._grid.setColumnStretch(len(FIELDS) + 2, 1)
         self._low, self._narrow = room.height() < LOW, room.width() < NARROW
+        (self._light_row if self._narrow else self._head).addWidget(self._mark)
+        self._head.removeWidget(self.heading)
+        self._head.addWidget(self.heading, 1)
+        self.only.setHidden(self._narrow)
         if self.pictures is not None:
             self.pictures[0].setHidden(self._narrow)
         self._show_texts()
@@ -340,17 +341,18 @@ class ResultsScreen(Screen):
         return list(dict.fromkeys(getattr(each, field) for each in self.lights))
 
     def _show_choices(self) -> None:
+        single: list[str] = []
         for field in FIELDS:
-            values, choice, only = self._values(field), self.choices[field], self.only[field]
+            values, choice = self._values(field), self.choices[field]
             texts = [_choice_text(field, each) for each in values]
             if [choice.itemText(at) for at in range(choice.count())] != texts:
                 choice.clear()
                 choice.addItems(texts)
             if self.wanted is not None and values:
                 choice.setCurrentIndex(values.index(getattr(self.wanted.light, field)))
-            only.setText(texts[0] if len(texts) == 1 else "")
-            only.setVisible(len(texts) == 1)
             choice.setVisible(len(texts) > 1)
+            single += texts if len(texts) == 1 else []
+        self.only.setText(", ".join(single))
 
     # The values.
 
@@ -390,6 +392,7 @@ class ResultsScreen(Screen):
             self._show(self.wanted)
 
     def _show_texts(self) -> None:
+        self.heading.setHidden(self._narrow and self.shown is not None)  # where there is room for an error or for values
         texts = ("",) * len(self.texts) if self.shown is None else model.value_texts(self.shown, self.index)
         for at, (label, text) in enumerate(zip(self.texts, texts, strict=True)):
             label.setText(text)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,6 +42,7 @@ if TYPE_CHECKING:  # the window shows itself before planner and pyqtgraph are lo
 
 UNSAVED = "the schedule has changes that are not saved: save it first (Ctrl+S)"
 READ_AGAIN = "the schedule that was saved is being read"
+SCROLLED = "Form that scrolls"
 NEW_NAME = "new.toml"
 EXAMPLES = examples.FOLDER
 """What came with the program is not written to."""
@@ -76,7 +78,9 @@ class SchedulePanel(QGroupBox):
         self.folder_button.setAccessibleName("Choose the folder for data files (journals)")
         self.open_button.clicked.connect(self.open)
         self.folder_button.clicked.connect(self.choose_folder)
-        self.new_button, self.save_button, self.copy_button = (QPushButton(each) for each in ("&New…", "Sa&ve", "Save &as…"))
+        self.new_button, self.save_button, self.copy_button = (
+            QPushButton(each) for each in ("Ne&w…", "Sav&e", "Save a &copy…")
+        )
         for button, name in (
             (self.new_button, "New schedule from a template"),
             (self.save_button, "Save the schedule (Ctrl+S)"),
@@ -161,6 +165,7 @@ class SetupScreen(Screen):
             if column is left:
                 layout.addStretch(1)
         scroll = QScrollArea()
+        scroll.setAccessibleName(SCROLLED)
         scroll.setWidget(left)
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QFrame.Shape.NoFrame)
@@ -197,6 +202,9 @@ class SetupScreen(Screen):
         assert isinstance(layout, QVBoxLayout)
         layout.insertWidget(1, self._preview, 1)
         self.form.complete()
+        stops = (self.schedule.folder_button, *self.form.fields.values(), self._text, self.incidence)
+        for before, after in pairwise(stops):
+            self.setTabOrder(before, after)
 
     def set_colours(self, colours: Colours) -> None:
         """Take the colours of a scheme."""

@@ -12,9 +12,12 @@ from PySide6.QtWidgets import (
     QMenuBar,
     QPlainTextEdit,
     QProgressBar,
+    QScrollArea,
     QScrollBar,
     QWidget,
 )
+
+from goniotwin.app.desktop.setup.screen import SCROLLED
 
 SCREEN = 1280, 800
 """Pixels of the smallest screen."""
@@ -54,6 +57,8 @@ def faults(window: QWidget, percent: int) -> list[str]:
 
 
 def _hidden_part(window: QWidget, control: QWidget) -> bool:
+    if any(each.accessibleName() == SCROLLED and each.isAncestorOf(control) for each in window.findChildren(QScrollArea)):
+        return False  # Tab scrolls to it
     place = QRect(control.mapTo(window, control.rect().topLeft()), control.size())
     return not window.rect().contains(place) or control.visibleRegion().boundingRect() != control.rect()
 
