@@ -53,7 +53,8 @@ def surface(drawn: Map) -> Surface | None:
 
 def image_of(found: Surface, shares: Floats, pixels: int) -> Floats:
     """Shares (n,) of the bar over the surface, (pixels, pixels) from below to above, linear in a triangle; NaN beside it."""
-    there, corners, weights = _pixels_of(np.stack([found.x, found.y]).tobytes(), found.triangles.tobytes(), pixels)
+    places, triangles = np.stack([found.x, found.y]).tobytes(), found.triangles.astype(np.int32).tobytes()
+    there, corners, weights = _pixels_of(places, triangles, pixels)
     image = np.full(pixels * pixels, math.nan)
     image[there] = (shares[corners] * weights).sum(axis=1)
     return image.reshape(pixels, pixels)
@@ -65,22 +66,26 @@ def image_of(found: Surface, shares: Floats, pixels: int) -> Floats:
 @lru_cache(maxsize=8)
 def _triangulated(places: bytes) -> Ints:
     """The triangles between places (2, n)."""
-    corners: Ints = Triangulation(*np.frombuffer(places).reshape(2, -1)).triangles
+    corners: Ints = Triangulation(*_places(places)).triangles
     return corners
 
 
 @lru_cache(maxsize=4)
 def _pixels_of(places: bytes, triangles: bytes, pixels: int) -> tuple[Ints, Ints, Floats]:
     """The pixels within triangles: their indices (k,), the corners (k, 3) of the triangle of each, and weights of these."""
-    x, y = np.frombuffer(places).reshape(2, -1)
+    x, y = _places(places)
     corners = np.frombuffer(triangles, dtype=np.int32).reshape(-1, 3)
     middle = EDGE_DEG * ((np.arange(pixels) + 0.5) * 2.0 / pixels - 1.0)
-    across, up = (each.ravel() for each in np.meshgrid(middle, middle))
-    which = Triangulation(x, y, corners).get_trifinder()(across, up)
+    across, up = (np.tile(middle, pixels), np.repeat(middle, pixels))
+    which = np.asarray(Triangulation(x, y, corners).get_trifinder()(across, up), dtype=np.int64)
     there = np.flatnonzero(which >= 0)
-    of = corners[which[there]]
+    of: Ints = corners[which[there]].astype(np.int64)
     (x0, x1, x2), (y0, y1, y2) = x[of].T, y[of].T
     double = (y1 - y2) * (x0 - x2) + (x2 - x1) * (y0 - y2)
     right, above = across[there] - x2, up[there] - y2
     first, second = ((y1 - y2) * right + (x2 - x1) * above) / double, ((y2 - y0) * right + (x0 - x2) * above) / double
     return there, of, np.stack([first, second, 1.0 - first - second], axis=1)
+
+
+def _places(places: bytes) -> Floats:
+    return np.frombuffer(places).reshape(2, -1)
