@@ -72,6 +72,7 @@ def write(command: str, parameter: str, arguments: str, suffix: str = "", *, fol
     return Case(command, parameter, arguments, out=True, folder=folder, suffix=suffix)
 
 
+NEW = "--template plane --sample gaussian-5 --target-u 0.1 --longest-h 1"
 CASES = [
     read("devices", "rig", "--rig {path}"),
     read("home", "rig", "--rig {path}"),
@@ -79,6 +80,8 @@ CASES = [
     read("move", "rig", "beta 0 --rig {path}"),
     read("read", "rig", "--rig {path}"),
     read("station", "rig", "--rig {path}"),
+    read("new", "rig", f"none.toml --rig {{path}} {NEW}"),
+    write("new", "schedule", f"{{path}} --rig RIG {NEW}", ".toml"),
     read("check", "schedule", "{path} --rig RIG"),
     read("check", "rig", "SCHEDULE --rig {path}"),
     read("rehearse", "schedule", "{path} --rig RIG"),

@@ -1,5 +1,6 @@
 """A schedule that is being written: its plan for the rig of the window, made in a thread for the latest text. No Qt."""
 
+import contextlib
 import re
 import threading
 from collections.abc import Callable
@@ -90,7 +91,8 @@ class DraftPlanner:
         found = work(number)
         with self._lock:
             if number == self._number:
-                self._deliver(found)
+                with contextlib.suppress(RuntimeError):  # the window is gone
+                    self._deliver(found)
 
 
 def _drafted(number: int, text: str, path: Path, rig: RigOpened | None) -> Drafted:

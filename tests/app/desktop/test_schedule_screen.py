@@ -25,7 +25,7 @@ def window(qtbot: QtBot, open_window: WindowOpener, tmp_path: Path) -> MainWindo
     shutil.copy(examples.FIRST_SCHEDULE, schedule)
     window = ready(qtbot, open_window(rig=examples.FIRST_RIG, schedule=schedule))
     press("Ctrl+3")
-    planned(qtbot, screen_of(window))
+    qtbot.waitUntil(lambda: planned(qtbot, screen_of(window)).maps != (), timeout=READY_MS)  # the rig is there
     return window
 
 
@@ -34,7 +34,7 @@ def screen_of(window: MainWindow) -> SetupScreen:
 
 
 def planned(qtbot: QtBot, screen: SetupScreen) -> Drafted:
-    """Wait for the plan of the text."""
+    """Wait for what comes of the text."""
     qtbot.waitUntil(lambda: screen.drafted is not None and screen.drafted.text == screen.text, timeout=READY_MS)
     assert screen.drafted is not None
     return screen.drafted
