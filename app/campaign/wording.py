@@ -1,4 +1,4 @@
-"""Durations, positions, lists of numbers, values with their uncertainty, and names from files as text."""
+"""Durations, positions, lists of numbers, values with their uncertainty, keys, and names from files as text."""
 
 import math
 from collections.abc import Iterable
@@ -34,6 +34,15 @@ def place_text(counter_deg: float | None, encoder_deg: float | None, encoder_los
         return f"counter {counter_deg:.3f} deg"
     apart = abs(encoder_deg - counter_deg)
     return f"counter {counter_deg:.3f} deg, encoder {encoder_deg:.3f} deg, {apart:.3f} deg apart"
+
+
+def key_text(key: str) -> str:
+    """A key as words with its unit: `arc_radius_mm` is `arc radius, mm`."""
+    units = {"per_sr": "1/sr", "v_per_a": "V/A", "mm": "mm", "nm": "nm", "deg": "deg", "sr": "sr"}
+    for unit, text in units.items():
+        if key.endswith(f"_{unit}"):
+            return f"{key.removesuffix(f'_{unit}').replace('_', ' ')}, {text}"
+    return key.replace("_", " ")
 
 
 def number_list(values: Iterable[int]) -> str:

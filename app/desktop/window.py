@@ -10,7 +10,7 @@ import threading
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QEvent, Qt, QTimer, Signal, Slot
 from PySide6.QtGui import QCloseEvent
@@ -174,6 +174,7 @@ class MainWindow(QMainWindow):
         self.question.answered.connect(self._answer)
         self.question.stop_wanted.connect(self._stop)
         self.presenter.message_shown.connect(self._show_question_facts)
+        self.presenter.message_shown.connect(self.question.show_message)
         self.view.devices.shown.connect(self._show_question_facts)
         self.presenter.run_ended.connect(self._after_run)
         self.presenter.notified.connect(self._notify)
@@ -364,9 +365,9 @@ class MainWindow(QMainWindow):
     def _ask(self, asked: "QuestionAsked") -> None:
         self.question.ask(asked, self.presenter.station)
 
-    @Slot(int, object, object)
-    def _answer(self, number: int, answer: Answer, angle_deg: float | None) -> None:
-        self.connection.answer(number, answer, angle_deg)
+    @Slot(int, object, object, object)
+    def _answer(self, number: int, answer: Answer, angle_deg: float | None, sample: dict[str, Any]) -> None:
+        self.connection.answer(number, answer, angle_deg, sample)
 
     @Slot()
     def _show_question_facts(self) -> None:

@@ -11,7 +11,7 @@ MOUNTED = "mounted"
 
 def mounting_text(sample: str, record: SampleMetadataTable) -> str:
     """The text of the event."""
-    return json.dumps({"sample": sample, **record.stated}, ensure_ascii=False)
+    return json.dumps({"sample": sample, **record.given}, ensure_ascii=False)
 
 
 def read_mounting(text: str, name: str) -> tuple[str, SampleMetadataTable]:

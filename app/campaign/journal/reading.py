@@ -275,8 +275,9 @@ class JournalReader:
         with self._reading():
             for (text,) in self._db.execute("SELECT text FROM event WHERE kind = ? ORDER BY id", (MOUNTED,)):
                 sample, record = read_mounting(text, str(self.path))
-                before = found.get(sample, SampleMetadataTable()).model_copy(update={"mounted_by": ""})
-                found[sample] = before.updated(record)
+                before = found[sample].given if sample in found else {}
+                before.pop("mounted_by", None)
+                found[sample] = SampleMetadataTable(**before).updated(record)
         return found
 
     def events(self) -> list[tuple[float, str, str]]:

@@ -29,22 +29,20 @@ def sample_record_of(journal: JournalReader, schedule: ScheduleFile, sample: str
     return stated.updated(journal.sample_records().get(sample, SampleMetadataTable()))
 
 
-def known_samples(folder: Path) -> list[KnownSample]:
-    """The samples of all journals of a folder, of those with one name and identifier the latest alone, the latest first.
+def samples_of(path: Path) -> list[KnownSample]:
+    """The samples of a journal; none of one that cannot be read, as `campaign_summaries` names it. No row is read."""
+    try:
+        known_version(path)
+        with JournalFollower(path).reading() as journal:
+            schedule = parse_schedule(journal.value("schedule"), f"{path} (schedule)").file
+            begun = next((each.wall_started for each in journal.sessions()), "")
+            return [KnownSample(name, sample_record_of(journal, schedule, name), path, begun) for name in schedule.samples]
+    except (UserError, OSError, sqlite3.Error):
+        return []
 
-    No row is read. A journal that cannot be read is left out, as `campaign_summaries` names it.
-    """
-    found: list[KnownSample] = []
-    for path in sorted(folder.glob(f"*{SUFFIX}")):
-        try:
-            known_version(path)
-            with JournalFollower(path).reading() as journal:
-                schedule = parse_schedule(journal.value("schedule"), f"{path} (schedule)").file
-                begun = next((each.wall_started for each in journal.sessions()), "")
-                found += [
-                    KnownSample(name, sample_record_of(journal, schedule, name), path, begun) for name in schedule.samples
-                ]
-        except (UserError, OSError, sqlite3.Error):
-            continue
+
+def known_samples(folder: Path) -> list[KnownSample]:
+    """The samples of all journals of a folder, of those with one name and identifier the latest alone, the latest first."""
+    found = [each for path in sorted(folder.glob(f"*{SUFFIX}")) for each in samples_of(path)]
     latest = {(each.name, each.record.identifier): each for each in sorted(found, key=lambda each: each.begun)}
     return sorted(latest.values(), key=lambda each: each.begun, reverse=True)

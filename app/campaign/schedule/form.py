@@ -17,6 +17,8 @@ from tomlkit.items import Item
 from goniotwin.app.campaign.schedule.editing import literal, remove_value, set_value
 from goniotwin.app.campaign.schedule.file import ScheduleFile, parse_schedule
 from goniotwin.app.campaign.schedule.grids import grid_values
+from goniotwin.app.campaign.schedule.metadata import SampleMetadataTable
+from goniotwin.app.campaign.wording import key_text
 from goniotwin.app.errors import UserError
 from goniotwin.app.toml_file import json_schema, parse_toml
 from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG
@@ -134,6 +136,13 @@ FIELDS = (
 )
 """In the order of the form."""
 
+SAMPLE_FIELDS = tuple(
+    FormField(f"metadata.samples.NAME.{key}", key_text(key).capitalize())
+    for key in SampleMetadataTable.model_fields
+    if key not in ("picture_sha256", "mounted_at")
+)
+"""What a person states of a sample; digest and time are found."""
+
 
 def _number(typed: str) -> str:
     """A number as typed. Raises ValueError for anything else."""
@@ -162,7 +171,7 @@ def _schema_of(path: tuple[str, ...]) -> Any:
     schema = _file_schema()
     here: Any = schema
     for part in path:
-        here = here["properties"][part]
+        here = here["properties"][part] if "properties" in here else here["additionalProperties"]
         if "$ref" in here:
             here = schema["$defs"][here["$ref"].rpartition("/")[2]]
     return here

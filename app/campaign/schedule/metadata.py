@@ -56,9 +56,14 @@ class SampleMetadataTable(TomlTable):
         """What is stated, by key."""
         return self.model_dump(exclude_defaults=True)
 
+    @property
+    def given(self) -> dict[str, Any]:
+        """The keys that are given: an empty text too, which takes the place of an earlier one."""
+        return self.model_dump(exclude_unset=True)
+
     def updated(self, later: Self) -> Self:
-        """The record with all that a later one states."""
-        return type(self)(**{**self.stated, **later.stated})
+        """The record with all that a later one gives."""
+        return type(self)(**{**self.given, **later.given})
 
 
 def sample_record(given: Mapping[str, Any]) -> SampleMetadataTable:
@@ -67,9 +72,9 @@ def sample_record(given: Mapping[str, Any]) -> SampleMetadataTable:
     Raises UserError, and for a picture that cannot be read FormatError.
     """
     record = validate_table(SampleMetadataTable, dict(given), "sample record")
-    if not record.picture or record.picture_sha256:
+    if "picture" not in given or record.picture_sha256:
         return record
-    digest = hashlib.sha256(read_file(record.picture)).hexdigest()
+    digest = hashlib.sha256(read_file(record.picture)).hexdigest() if record.picture else ""
     return record.model_copy(update={"picture": Path(record.picture).name, "picture_sha256": digest})
 
 

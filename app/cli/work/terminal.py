@@ -91,7 +91,7 @@ class TerminalAsk:
         number, _ = asked
         try:
             angle = reply.angle_deg if isinstance(reply, PositionGiven) else None
-            sample = reply.record.stated if isinstance(reply, SampleGiven) else None
+            sample = reply.record.given if isinstance(reply, SampleGiven) else None
             self._host.station.answer(number, answer_of(reply), angle, sample)
         except UserError as refusal:
             still = self._host.station.snapshot.question

@@ -31,6 +31,7 @@ from goniotwin.app.campaign.studies.decades import (
 )
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.verification import Verdict, verify_journal
+from goniotwin.app.campaign.wording import key_text
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.kinds import KINDS
 from goniotwin.app.data.kinds.choice import side_words
@@ -263,19 +264,10 @@ def _groups(metadata: Metadata) -> Iterator[tuple[str, list[tuple[str, str]]]]:
         if name in ("sample", *OF_HEAD):
             continue
         if isinstance(value, dict):
-            groups.append((name, [(_words(key), _text(each)) for key, each in value.items() if key != "findings"]))
+            groups.append((name, [(key_text(key), _text(each)) for key, each in value.items() if key != "findings"]))
         else:
-            general.append((_words(name), _text(value)))
+            general.append((key_text(name), _text(value)))
     return iter([("campaign", general), *groups])
-
-
-def _words(key: str) -> str:
-    """A key as words with its unit: `arc_radius_mm` is `arc radius, mm`."""
-    units = {"per_sr": "1/sr", "v_per_a": "V/A", "mm": "mm", "nm": "nm", "deg": "deg", "sr": "sr"}
-    for unit, text in units.items():
-        if key.endswith(f"_{unit}"):
-            return f"{key.removesuffix(f'_{unit}').replace('_', ' ')}, {text}"
-    return key.replace("_", " ")
 
 
 def _text(value: Any) -> str:
@@ -320,7 +312,7 @@ def _sample(dataset: Dataset, metadata: Metadata, kinds: Collection[str]) -> dic
     counts = {} if measured is None else {name: int(measured.points.flag(name).sum()) for name in FLAGS}
     return {
         "name": dataset.sample,
-        "about": [(_words(key), value) for key, value in metadata.as_dict().get("sample", {}).items()],
+        "about": [(key_text(key), value) for key, value in metadata.as_dict().get("sample", {}).items()],
         "plots": list(_plots(dataset, kinds)),
         "standard": standard_values(dataset),
         "lights": list(_lights(dataset)),

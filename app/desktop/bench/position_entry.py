@@ -13,7 +13,7 @@ FROM_SCALE = "from its scale"
 NO_ANGLE = "read the angle from the scale of the axis, and enter it in degrees"
 
 
-class AngleField(QLineEdit):
+class AnswerField(QLineEdit):
     """A field in which Enter gives no answer: the default of a question would be taken for what was typed."""
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
@@ -31,7 +31,7 @@ class PositionEntry(QWidget):
         super().__init__()
         self._encoder_deg: float | None = None
         self._counter, self._encoder, self._apart = QLabel(), QLabel(), QLabel()
-        self.field = AngleField()
+        self.field = AnswerField()
         self.field.setPlaceholderText(FROM_SCALE)
         self.field.setAccessibleName(f"Angle at which {axis} is, degrees")
         self.take = QPushButton("Use the &encoder")

@@ -9,7 +9,7 @@ from PySide6.QtWidgets import QApplication, QDialog, QGridLayout, QLabel, QPushB
 
 from goniotwin.app.desktop.dialogs import FileDialog
 
-WIDTH = 540
+WIDTH, TITLE_BAR = 540, 36
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,8 @@ class QuestionBox(QDialog):
         layout = self.layout()
         if layout is not None and self.isVisible():
             layout.activate()
-            self.resize(self.width(), max(layout.totalHeightForWidth(self.width()), layout.totalMinimumSize().height()))
+            height = max(layout.totalHeightForWidth(self.width()), layout.totalMinimumSize().height())
+            self.resize(self.width(), min(height, self.screen().availableGeometry().height() - TITLE_BAR))
 
     def set_refusal(self, reason: str) -> None:
         """Disable the answers, for this reason, but for those that stop; enabled again, the question draws the attention."""
@@ -155,7 +156,7 @@ class QuestionBox(QDialog):
     def _choose(self) -> None:
         button = self.sender()
         assert isinstance(button, QPushButton)
-        self.chosen.emit(button.text())
+        self.chosen.emit(button.text().replace("&", ""))
 
 
 REPLACE, CANCEL = "Replace", "Cancel"

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from goniotwin.app.desktop.model.messages import NotAttached as NotAttached
     from goniotwin.app.desktop.model.messages import PastRead as PastRead
     from goniotwin.app.desktop.model.messages import RigRead as RigRead
+    from goniotwin.app.desktop.model.messages import SamplesRead as SamplesRead
     from goniotwin.app.desktop.model.messages import StationLost as StationLost
     from goniotwin.app.desktop.model.messages import StopReport as StopReport
     from goniotwin.app.desktop.model.preflight import MARKS as MARKS

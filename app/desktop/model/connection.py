@@ -10,13 +10,14 @@ import logging
 import queue
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, wait
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
+from goniotwin.app.campaign.journal.samples import known_samples, samples_of
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.running.events import SafetyOrder, left_order
 from goniotwin.app.campaign.running.question import Answer
@@ -28,6 +29,7 @@ from goniotwin.app.desktop.model.messages import (
     NotAttached,
     PlanRefused,
     RigRead,
+    SamplesRead,
     StationLost,
     StopReport,
 )
@@ -41,7 +43,7 @@ from goniotwin.app.station.connection_file import attach, connection_folder
 from goniotwin.app.station.hosting import station_of
 from goniotwin.app.station.message_text import message_text
 from goniotwin.app.station.messages import Message as StationMessage
-from goniotwin.app.station.messages import RigOpened, RunEnded, RunRefused, Snapshot
+from goniotwin.app.station.messages import QuestionAsked, RigOpened, RunEnded, RunRefused, Snapshot
 from goniotwin.app.station.orders import end_shutter_orders
 from goniotwin.app.station.permissions import STOPPED
 from goniotwin.app.station.starting import start_station
@@ -233,10 +235,13 @@ class Connection:
         """End the run after the cut in progress."""
         self._after_start("finish_cut")
 
-    def answer(self, number: int, answer: Answer, angle_deg: float | None = None) -> None:
-        """Answer a question by its number; `Set position` with the angle."""
-        angle = {} if angle_deg is None else {"angle_deg": angle_deg}
-        self.command("answer", question=number, choice=answer, **angle)
+    def answer(
+        self, number: int, answer: Answer, angle_deg: float | None = None, sample: Mapping[str, Any] | None = None
+    ) -> None:
+        """Answer a question by its number; `Set position` with the angle, `Mounted` with what is stated of the sample."""
+        given = {"angle_deg": angle_deg, "sample": sample or None}
+        given = {key: value for key, value in given.items() if value is not None}
+        self.command("answer", question=number, choice=answer, **given)
 
     def acknowledge(self, order: SafetyOrder) -> None:
         """Acknowledge a safety order; the journal of its run records it. One that no station has is of a program that died."""
@@ -411,6 +416,8 @@ class Connection:
             self._tasks.put(self._read_rig)
         if snapshot.journal is not None:
             self._reader.attach(snapshot)
+        if snapshot.question is not None:
+            self._tasks.put(partial(self._read_samples, snapshot.question))
 
     def _take(self, session: Session, message: StationMessage) -> None:
         """Take an event of the station, in the thread that reads it."""
@@ -422,6 +429,8 @@ class Connection:
         self._send(message)
         if isinstance(message, RigOpened):  # after it: a window forgets the plan for the rig before
             self._tasks.put(self._read_rig)
+        if isinstance(message, QuestionAsked):
+            self._tasks.put(partial(self._read_samples, message))
 
     def _lose(self, session: Session) -> None:
         if session is self._session and not session.leaving:
@@ -438,6 +447,13 @@ class Connection:
         except (UserError, OSError):
             self._send(RigRead(None))  # the plan is refused with the reason
         self._make_plan()
+
+    def _read_samples(self, asked: QuestionAsked) -> None:
+        """Read what is known of the sample that a question is about."""
+        sample, journal = asked.question.sample, self.snapshot.journal
+        if sample and journal is not None:
+            own = next((each for each in samples_of(journal) if each.name == sample), None)
+            self._send(SamplesRead(asked.number, own, tuple(known_samples(journal.parent))))
 
     def _load(self, schedule: Path) -> None:
         self._planner.schedule = schedule

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from goniotwin.app.campaign.journal.samples import KnownSample
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.running.events import EventLogged, RowCommitted
 from goniotwin.app.desktop.model.time_left import Mounting
@@ -94,6 +95,15 @@ class RunStarted:
 
 
 @dataclass(frozen=True)
+class SamplesRead:
+    """What is known of the sample that the question `number` is about: its record in the campaign, and other samples."""
+
+    number: int
+    own: KnownSample | None
+    known: tuple[KnownSample, ...]
+
+
+@dataclass(frozen=True)
 class ValuesMissing:
     """The journal of the run cannot be read here. The run is not affected."""
 
@@ -129,6 +139,7 @@ Message = (
     | PlanMade
     | PlanRefused
     | RunStarted
+    | SamplesRead
     | ValuesMissing
     | CommandRefused
     | StopReport

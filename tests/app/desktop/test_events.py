@@ -377,7 +377,7 @@ def test_a_question_can_wait_and_no_key_answers_it_by_accident(
     later.presenter.countdown.show()
     assert "mount gaussian-5" in later.view.run.left.text() or not later.presenter.countdown.mountings
     asking.connection.resume()
-    assert [each.text() for each in tab_order(mount) if isinstance(each, QPushButton)] == ["Mounted", "Wait"]
+    assert [each.text() for each in tab_order(mount) if isinstance(each, QPushButton)] == ["&Mounted", "Wait"]
     break_photodiodes(stations)
     answer(asking, "Mounted")
     fault = wait_for_question(qtbot, asking, MODULE)

@@ -123,6 +123,16 @@ def test_a_record_that_is_wrong_is_refused_and_the_question_stays_open(
     ]
 
 
+def test_an_empty_text_takes_the_place_of_what_the_schedule_states(
+    bench: StationBench, write_schedule: Writer, tmp_path: Path
+) -> None:
+    given = {"note": "", "thickness_mm": None, "identifier": "", "picture": ""}
+    journal, refused = run(bench, write_schedule(text=SCHEDULE), tmp_path, given)
+    assert refused == []
+    found = goniotwin.open(journal).metadata.sample
+    assert (found.note, found.thickness_mm, found.identifier, found.picture_sha256) == ("", None, "gaussian-5", "")
+
+
 def test_a_picture_that_cannot_be_read_is_refused(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
     _, refused = run(bench, write_schedule(text=SCHEDULE), tmp_path, {"picture": str(tmp_path / "no.jpg")})
     assert refused == [f"{tmp_path / 'no.jpg'}: there is no such file; check the name and the folder"]
