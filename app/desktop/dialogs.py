@@ -4,7 +4,18 @@ from collections.abc import Callable
 from pathlib import Path
 
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QApplication, QDialog, QDialogButtonBox, QFileDialog, QTextBrowser, QVBoxLayout, QWidget
+from PySide6.QtWidgets import (
+    QApplication,
+    QDialog,
+    QDialogButtonBox,
+    QFileDialog,
+    QGridLayout,
+    QLabel,
+    QLineEdit,
+    QTextBrowser,
+    QVBoxLayout,
+    QWidget,
+)
 
 TEXT_WIDTH = 520
 
@@ -47,6 +58,15 @@ class FileDialog(QFileDialog):
             self.setOption(QFileDialog.Option.ShowDirsOnly)
         self.fileSelected.connect(lambda name: chosen(Path(name)))
         self.show()
+
+    def add_field(self, label: str, field: QLineEdit) -> None:
+        """Show a field, which may stay empty, below the name of the file."""
+        grid = self.layout()
+        assert isinstance(grid, QGridLayout)
+        row = grid.rowCount()
+        field.setAccessibleName(label)
+        grid.addWidget(QLabel(f"{label}:"), row, 0)
+        grid.addWidget(field, row, 1)
 
 
 class TextBox(QDialog):

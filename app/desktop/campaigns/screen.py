@@ -1,6 +1,7 @@
 """The campaigns screen: the journals of the folder with their state, and what can be done with one of them."""
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,6 +32,7 @@ MARKS = {"done": "✓", "running": "▶", "failed": "✗", "killed": "✗", "sto
 LONGEST_NAME = 240
 """Widest column in logical pixels; the whole text is below the table, and in the tool tip."""
 EXPORTS = "Measured points (*.csv);;Table (*.ddr);;Archive (*.h5)"
+REPORTS = "Report (*.html);;Report to print (*.pdf)"
 
 
 class CampaignsScreen(Screen):
@@ -213,19 +215,20 @@ class CampaignsScreen(Screen):
     @Slot(object)
     def export(self, journal: Path) -> None:
         """Ask for a file, and export a campaign to it."""
-        self._ask_out("Export the campaign", journal.with_suffix(".csv"), EXPORTS, "export", journal)
+        first, run = journal.with_suffix(".csv"), partial(self.run_command, "export", journal)
+        ask_file(self.window(), "Export the campaign", first, EXPORTS, run)
 
     @Slot(object)
     def report(self, journal: Path) -> None:
-        """Ask for a file, and write the report of a campaign."""
-        self._ask_out("Report of the campaign", journal.with_suffix(".html"), "Report (*.html)", "report", journal)
+        """Ask for a file, a number and a name, and write the report of a campaign."""
 
-    def _ask_out(self, title: str, first: Path, kinds: str, command: str, journal: Path) -> None:
-        """Ask for the file of a command, and before one is replaced."""
+        def write(out: Path, number: str, person: str) -> None:
+            self.run_command("report", journal, out, f"--number={number}", f"--approved-by={person}")
 
-        ask_file(self.window(), title, first, kinds, lambda out: self.run_command(command, journal, out))
+        first = journal.with_suffix(".html")
+        ask_file(self.window(), "Report of the campaign", first, REPORTS, write, "Report number", "Approved by")
 
-    def run_command(self, command: str, journal: Path, out: Path) -> None:
+    def run_command(self, command: str, journal: Path, out: Path, *options: str) -> None:
         """Run `goniotwin COMMAND JOURNAL --out FILE` in a process of its own: its status is what it wrote, and warnings."""
         if self._process is not None:
             self.reported.emit("An export or a report is in progress.", True)
@@ -235,7 +238,7 @@ class CampaignsScreen(Screen):
         process.errorOccurred.connect(self._fail_command)
         self._process = process
         self.reported.emit(f"Writing {out} …", False)
-        process.start(sys.executable, ["-m", "goniotwin", command, str(journal), "--out", str(out)])
+        process.start(sys.executable, ["-m", "goniotwin", command, str(journal), "--out", str(out), *options])
 
     @Slot(int)
     def _end_command(self, status: int) -> None:

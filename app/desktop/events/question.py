@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from PySide6.QtCore import Qt, Signal, Slot
-from PySide6.QtWidgets import QApplication, QDialog, QGridLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QApplication, QDialog, QGridLayout, QLabel, QLineEdit, QPushButton, QVBoxLayout, QWidget
 
 from goniotwin.app.desktop.dialogs import FileDialog
 
@@ -176,13 +176,17 @@ def ask_to_replace(parent: QWidget, title: str, text: str, replace: Callable[[],
     return box
 
 
-def ask_file(parent: QWidget, title: str, first: Path, kinds: str, chosen: Callable[[Path], object]) -> None:
-    """Ask for a file to write, and before one is replaced. Blocks nothing."""
+def ask_file(parent: QWidget, title: str, first: Path, kinds: str, chosen: Callable[..., object], *labels: str) -> None:
+    """Ask for a file to write, and before one is replaced. Blocks nothing. `chosen` gets it, and a text for each label."""
+    fields = {label: QLineEdit() for label in labels}
 
     def asked(out: Path) -> None:
+        texts = [each.text().strip() for each in fields.values()]
         if out.exists():
-            ask_to_replace(parent, f"Replace {out.name}?", f"There is a file {out}.", lambda: chosen(out))
+            ask_to_replace(parent, f"Replace {out.name}?", f"There is a file {out}.", lambda: chosen(out, *texts))
         else:
-            chosen(out)
+            chosen(out, *texts)
 
-    FileDialog(parent, title, first, kinds, asked, save=True)
+    dialog = FileDialog(parent, title, first, kinds, asked, save=True)
+    for label, field in fields.items():
+        dialog.add_field(label, field)

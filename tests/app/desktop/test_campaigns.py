@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QLineEdit
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
@@ -14,11 +15,13 @@ from goniotwin.app.campaign.rehearsal.without_wires import rows_without_wires, r
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
+from goniotwin.app.desktop.dialogs import FileDialog
+from goniotwin.app.desktop.events.question import QuestionBox
 from goniotwin.app.desktop.model.campaigns import list_campaigns
 from goniotwin.app.desktop.run.panel import PAUSE
 from goniotwin.app.desktop.theme import LIGHT
 from goniotwin.app.rig import read_rig
-from tests.app.desktop.conftest import READY_MS, ROWS, WindowOpener, ready, wait_for_end
+from tests.app.desktop.conftest import READY_MS, ROWS, WindowOpener, click, ready, wait_for_end
 from tests.conftest import RIG, Writer
 
 
@@ -90,6 +93,36 @@ def test_the_status_of_an_export_is_what_was_written_and_the_warning_after_it(
     screen.run_command("export", tmp_path / "a.journal", tmp_path / "a.ddr")
     qtbot.waitUntil(lambda: len(seen) == 2, timeout=READY_MS)
     assert seen[1] == ("Written: SIMULATED, 4 values: a.ddr; a warning", False)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the program of the test is a shell script")
+def test_a_report_has_number_and_person_and_one_that_is_no_pdf_states_why_and_where_it_is(
+    qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program, out = tmp_path / "program", tmp_path / "a.pdf"
+    program.write_text(
+        f"#!/bin/sh\nprintf '%s\\n' \"$@\" > {tmp_path}/given\necho 'goniotwin: no PDF; it is in a.html' >&2\nexit 2\n"
+    )
+    program.chmod(0o700)
+    out.touch()
+    monkeypatch.setattr(sys, "executable", str(program))
+    screen = CampaignsScreen(LIGHT)
+    qtbot.addWidget(screen)
+    seen: list[tuple[str, bool]] = []
+    screen.reported.connect(lambda text, error: seen.append((text, error)))
+    screen.report(tmp_path / "a.journal")
+    (dialog,) = screen.findChildren(FileDialog)
+    dialog.selectNameFilter(dialog.nameFilters()[1])
+    dialog.selectFile(out.name)
+    fields = {each.accessibleName(): each for each in dialog.findChildren(QLineEdit)}
+    fields["Report number"].setText("R-17 ")
+    fields["Approved by"].setText("A. Person")
+    dialog.accept()
+    click(screen.findChildren(QuestionBox)[0].buttons["Replace"])
+    qtbot.waitUntil(lambda: len(seen) == 2, timeout=READY_MS)
+    assert seen[1] == ("no PDF; it is in a.html", True)
+    given = (tmp_path / "given").read_text().split("\n")[2:]
+    assert given == ["report", str(tmp_path / "a.journal"), "--out", str(out), "--number=R-17", "--approved-by=A. Person", ""]
 
 
 @pytest.mark.parametrize("outcome", [None, "stopped", "failed", "done"])
