@@ -17,7 +17,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-TEXT_WIDTH = 520
+TEXT_WIDTH, TITLE_BAR = 520, 36
 
 
 def close_dialog() -> None:
@@ -58,6 +58,7 @@ class FileDialog(QFileDialog):
             self.setOption(QFileDialog.Option.ShowDirsOnly)
         self.fileSelected.connect(lambda name: chosen(Path(name)))
         self.show()
+        self.resize(self.width(), min(self.height(), self.screen().availableGeometry().height() - TITLE_BAR))
 
     def add_field(self, label: str, field: QLineEdit) -> None:
         """Show a field, which may stay empty, below the name of the file."""

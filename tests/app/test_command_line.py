@@ -276,7 +276,9 @@ def test_a_safety_order_is_printed_at_once_and_at_the_end_and_again_before_a_res
     ]
     assert app(["runs", str(tmp_path)], standalone_mode=False) in (None, 0)
     line = order.replace("SAFETY: ", f"SAFETY: of {journal}, not acknowledged: ")
-    assert capsys.readouterr().err == f"goniotwin: {line}\n"
+    shown = capsys.readouterr()
+    assert shown.err == f"goniotwin: {line}\n"
+    assert " UTC" in " ".join(shown.out.split())
     assert app(["run", "--resume", str(journal), "--accept-rig"], standalone_mode=False) in (None, 0)
     line = order.replace("SAFETY: ", "SAFETY: of the last session, not acknowledged: ")
     assert capsys.readouterr().err.splitlines()[0] == f"goniotwin: {line}"

@@ -11,6 +11,7 @@ from goniotwin.app.campaign.wording import duration_text
 from goniotwin.app.cli.output import answer, print_error, print_order
 from goniotwin.app.errors import one_line
 from goniotwin.app.rig.left import left_unsafe
+from goniotwin.protocols.clock import local_stamp
 
 STATE_STYLES = {"done": "green", "running": "cyan", "failed": "red", "killed": "red", "stopped": "yellow", "empty": "dim"}
 
@@ -50,6 +51,6 @@ def _print_campaigns(folder: Path, campaigns: list[CampaignSummary]) -> None:
             f"[{STATE_STYLES[each.state]}]{each.state}[/]{f', {each.skipped} skipped' if each.skipped else ''}",
             f"{each.rows}/{each.planned}",
             duration_text(each.seconds_left) if each.rows < each.planned else "",
-            Text(one_line(each.begun or "").replace("T", " ")[:16]),
+            Text(local_stamp(one_line(each.begun or ""))),
         )
     console.print(table)

@@ -22,6 +22,7 @@ from goniotwin.app.desktop import model
 from goniotwin.app.desktop.events.question import ask_file
 from goniotwin.app.desktop.screen import Screen, WithoutPreferredHeight
 from goniotwin.app.desktop.theme import Colours
+from goniotwin.protocols.clock import local_stamp
 
 if TYPE_CHECKING:  # the window shows itself before the engine is loaded
     from goniotwin.app.desktop.model.campaigns import Campaign, CampaignsListed
@@ -262,14 +263,13 @@ def _texts(campaign: "Campaign") -> tuple[str, ...]:
     each = campaign.summary
     left = "" if each.state == "done" else rounded_duration_text(each.seconds_left)
     rows = f"{each.rows} of {each.planned}" + (f", {each.skipped} skipped" if each.skipped else "")
-    begun = (each.begun or "").replace("T", " ")[:16]
     kind = "SIMULATED" if each.simulated else "measured"
     return (
         each.name,
         f"{MARKS[each.state]} {each.state}",
         rows,
         left,
-        begun,
+        local_stamp(each.begun or ""),
         kind,
         campaign.path.name,
     )

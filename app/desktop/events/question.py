@@ -7,9 +7,9 @@ from pathlib import Path
 from PySide6.QtCore import Qt, Signal, Slot
 from PySide6.QtWidgets import QApplication, QDialog, QGridLayout, QLabel, QLineEdit, QPushButton, QVBoxLayout, QWidget
 
-from goniotwin.app.desktop.dialogs import FileDialog
+from goniotwin.app.desktop.dialogs import TITLE_BAR, FileDialog
 
-WIDTH, TITLE_BAR = 540, 36
+WIDTH = 540
 
 
 @dataclass(frozen=True)

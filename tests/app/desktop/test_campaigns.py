@@ -21,6 +21,7 @@ from goniotwin.app.desktop.model.campaigns import list_campaigns
 from goniotwin.app.desktop.run.panel import PAUSE
 from goniotwin.app.desktop.theme import LIGHT
 from goniotwin.app.rig import read_rig
+from goniotwin.protocols.clock import local_stamp
 from tests.app.desktop.conftest import READY_MS, ROWS, WindowOpener, click, ready, wait_for_end
 from tests.conftest import RIG, Writer
 
@@ -65,6 +66,9 @@ def test_the_folder_is_listed_with_what_cannot_be_read(plan: NewPlan, tmp_path: 
     shown = [[cell(screen, row, column) for column in range(6)] for row in range(2)]
     assert ["✗ killed", f"4 of {ROWS}"] in [each[1:3] for each in shown]
     assert all(each[5] == "SIMULATED" for each in shown)
+    begun = {local_stamp(each.summary.begun or "") for each in listed.campaigns}
+    assert {each[4] for each in shown} == begun
+    assert all(" UTC" in each for each in begun)
     row = next(number for number, each in enumerate(shown) if "killed" in each[1])
     screen.table.selectRow(row)
     assert not screen.resume_button.isEnabled()  # no rig is open
