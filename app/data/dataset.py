@@ -63,13 +63,13 @@ class Dataset:
     """BSDF values with their directions, from a journal, a file or a simulation; all in memory.
 
     The arrays are of one sample. If there are several samples, choose one: `dataset["paper"]`. `name` is the name of the
-    campaign or of the file. `origin` is "journal", "simulation" or the name of a format. `notes` are remarks for the reader of
-    the values. `findings` state what is wrong with the instrument.
+    campaign or of the file. `origin` is "journal", "simulation", "table" or the name of a format. `notes` are remarks for the
+    reader of the values. `findings` state what is wrong with the instrument.
 
     You cannot write to the arrays. Copy one first, or compute a new one from it. A wrong argument raises GoniotwinError.
 
-    `data`, `only`, `file`, `reduced` and `whole` are for other parts of the program, and not public. `file` is the content of
-    the file, `reduced` the whole reduction of a journal, and `whole` whether all of its values are there.
+    `file` is the content of a file, None of a journal. `data`, `only`, `reduced` and `whole` are for other parts of the
+    program, and not public: `reduced` is the whole reduction of a journal, and `whole` whether all of its values are there.
     """
 
     name: str
@@ -220,7 +220,7 @@ class Dataset:
 
     @property
     def theta_deg(self) -> Floats:
-        """Aspecular angle (n,): from the specular direction, for transmitted light from the direction straight through."""
+        """Angle theta (n,) from the specular direction, not negative; for transmitted light from the one straight through."""
         return self._column("theta_deg")
 
     @property

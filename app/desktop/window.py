@@ -227,6 +227,7 @@ class MainWindow(QMainWindow):
     def _refresh(self) -> None:
         permissions, plan = self.presenter.permissions, self.presenter.plan
         self.question.set_watching(permissions.watching)
+        self.view.screen_of(SetupScreen).set_rig(self.presenter.rig)
         if permissions != self._permissions or plan is not self._plan:  # most of hundreds of messages a second change neither
             self._permissions, self._plan = permissions, plan
             self.view.run.set_permissions(permissions)

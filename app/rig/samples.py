@@ -206,7 +206,7 @@ class MeasuredTable(TomlTable):
     side of the light for the values of its front; those of its back act on the opposite side. `symmetry`: how values with
     several azimuths of the light continue beyond them. "none" repeats them after 360 deg, "half_turn" after 180. "mirror" has 0
     to 180 deg and "orthotropic" 0 to 90; the rest is the mirror image. `sample`: name of one of several samples in the file.
-    `fill`: how holes in the values are filled: see docs/exchange/formats.md.
+    `fill`: how holes in the values are filled, as by the option `--fill` of `goniotwin convert`.
     """
 
     model: Literal["table", "zemax"]

@@ -26,6 +26,10 @@ TABLES: dict[str, Callable[[], Any]] = {
 }
 BOUNDS = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
 UNITS = {
+    "mirror_s": "",
+    "um_per_s": "µm/s",
+    "deg_per_s": "deg/s",
+    "per_s": "1/s",
     "v_per_a": "V/A",
     "nm_per_s": "nm/s",
     "deg_s2": "deg/s²",
@@ -56,7 +60,7 @@ CHOICES = ("kind", "model")
 """Keys that decide which keys a table has."""
 MADE = ("Dataset", "DatasetComparison")
 """Classes whose instances functions of the package make."""
-INNER = ("data", "only", "reduced", "whole", "file")
+INNER = ("data", "only", "reduced", "whole")
 """Attributes of a dataset that other parts of the program use. They are not public, and not on the page of the API."""
 FEW = 3
 """Keys of a table that is shown in one line."""
@@ -229,7 +233,11 @@ def forms_of(key: str, forms: list[Any], links: dict[str, Link], *, many: bool) 
 
 def unit_of(key: str, value: Any) -> str:
     """The unit of a number, by the end of its key."""
-    return next((each for end, each in UNITS.items() if key.endswith(f"_{end}")), "") if value.get("type") == "number" else ""
+    return (
+        next((each for end, each in UNITS.items() if f"_{key}".endswith(f"_{end}")), "")
+        if value.get("type") == "number"
+        else ""
+    )
 
 
 def commands() -> str:

@@ -1,4 +1,7 @@
-"""`goniotwin station` of a virtual rig whose monitor has a plug: SIGUSR1 pulls it, SIGUSR2 puts it in again."""
+"""`goniotwin station` of a virtual rig whose monitor has a plug, and whose beta can be held.
+
+SIGUSR1 pulls the plug, SIGUSR2 puts it in again. SIGRTMIN holds beta where it is, SIGRTMIN + 1 lets it go.
+"""
 
 import signal
 
@@ -23,6 +26,12 @@ def adopt_with_plug(self: Station, opened: OpenRig, description: RigDescription)
         with virtual.lock:
             virtual.usb["monitor"].replug()
 
+    def hold(number: int, _frame: object) -> None:
+        with virtual.lock:
+            virtual.plant.shafts["beta"].jam(opened.rig.clock.now(), number == signal.SIGRTMIN)
+
+    signal.signal(signal.SIGRTMIN, hold)
+    signal.signal(signal.SIGRTMIN + 1, hold)
     signal.signal(signal.SIGUSR1, pull)
     signal.signal(signal.SIGUSR2, put)
 

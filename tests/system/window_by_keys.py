@@ -38,10 +38,16 @@ class WindowByKeys:
                 text=True,
             )
         self._clock = RealClock()
+        self.presses = 0
 
     def press(self, *keys: str) -> None:
         """Press and release keys or combinations, where the focus is."""
+        self.presses += len(keys)
         self._do("press", *keys)
+
+    def type_text(self, text: str) -> None:
+        """Type a text, where the focus is."""
+        self._do("type_text", text)
 
     def tab_to(self, name: str) -> None:
         """Press Tab until the focus is on the control whose accessible name begins with `name`.

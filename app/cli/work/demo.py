@@ -1,5 +1,6 @@
 """The demonstration: satin measured over the hemisphere on the virtual rig, its uncertainty, and its deviation from theory."""
 
+import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.journal.following import JournalFollower
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
@@ -27,6 +29,7 @@ from goniotwin.app.formats.file import make_folder
 from goniotwin.app.rig import read_rig
 from goniotwin.protocols.clock import RealClock
 
+EARLIER = "goniotwin demo --out FOLDER writes elsewhere"
 FIGURE_INCHES = (12.0, 4.2)
 
 
@@ -39,8 +42,7 @@ def run_demo(
     schedule = read_schedule(schedule_path)
     files = {name: out / f"{schedule.file.name}.{name}" for name in ("journal", "csv", "png", "html")}
     make_folder(out)
-    for file in files.values():
-        file.unlink(missing_ok=True)
+    _remove_earlier(files, schedule.text)
     compile_ahead()
     plan = make_plan(schedule, rig)
     seconds = _measure(plan, files["journal"], transcript, console)
@@ -80,6 +82,25 @@ def draw_demo(dataset: Dataset) -> Figure:
     plot(dataset, "cuts", ax=axes[0])
     plot(dataset, "hemisphere", ax=axes[1:])
     return figure
+
+
+def _remove_earlier(files: dict[str, Path], schedule: str) -> None:
+    """Remove the files of an earlier demo. Raises UserError, and removes none, where they may be of something else."""
+    there = [each for each in files.values() if each.exists()]
+    journal = files["journal"]
+    if there and not (journal.exists() and _is_of_demo(journal, schedule)):
+        raise UserError(f"{there[0]}: is of no earlier demo, and is kept; {EARLIER}")
+    for each in there:
+        each.unlink()
+
+
+def _is_of_demo(journal: Path, schedule: str) -> bool:
+    """Whether a file is the simulated journal of a schedule."""
+    try:
+        with JournalFollower(journal).reading() as opened:
+            return opened.simulated and opened.value("schedule") == schedule
+    except (UserError, OSError, sqlite3.Error):
+        return False
 
 
 def _measure(plan: Plan, journal: Path, transcript: Path | None, console: Console) -> float:

@@ -12,7 +12,7 @@ import goniotwin
 from goniotwin.app.campaign.campaign import clock_for, operator_for
 from goniotwin.app.cli.output import error_console, print_order, print_warning
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats.file import check_writable, write_file
+from goniotwin.app.formats.file import Replaceable, check_writable, write_file
 from goniotwin.app.rig import OpenRig, RigDescription, open_rig, read_rig
 from goniotwin.drivers import Device, DeviceError, Rig
 from goniotwin.drivers.checks import CheckOutcome, CheckSession, CheckVerdict, DeviceCheck, checks_of
@@ -23,6 +23,8 @@ LOG = logging.getLogger(__name__)
 NOT_CONFIRMED = "it moves a device, and the answer was not yes"
 NO_TERMINAL = "it moves a device, and there is no terminal to confirm it; run it in one, or give --yes"
 YES = "yes"
+HEADING = "Verification of the devices of"
+REPORT = Replaceable("a report of goniotwin verify-device", lambda content: content.startswith(HEADING.encode()))
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ class VerificationRecord:
     def text(self) -> str:
         """The report."""
         marked = " (SIMULATED)" if self.simulated else ""
-        head = [f"Verification of the devices of {self.rig}{marked}", f"{self.date}, {self.program}", ""]
+        head = [f"{HEADING} {self.rig}{marked}", f"{self.date}, {self.program}", ""]
         head += [f"{name}: {identity}" for name, identity in self.identities.items()]
         return "\n".join([*head, "", *map(str, self.records), "", self.summary, ""])
 
@@ -93,7 +95,7 @@ def verify_devices(
     Outcomes are printed as they come unless `quiet`. Raises UserError.
     """
     if report is not None:
-        check_writable(report)
+        check_writable(report, REPORT)
     description = read_rig(path)
     program = f"goniotwin {goniotwin.__version__}"
     result = VerificationRecord(description.file.name, description.simulated, calendar_stamp(), program)
@@ -116,7 +118,7 @@ def verify_devices(
         if (incomplete := opened.transcript_failure) is not None:
             print_warning(incomplete)
     if report is not None:
-        write_file(report, result.text.encode())
+        write_file(report, result.text.encode(), REPORT)
     return result
 
 

@@ -44,8 +44,16 @@ QT = "PySide6-Essentials"
 WINDOW_ONLY = (QT, "pyqtgraph")
 REINSTALL = "install goniotwin again"
 QT_LIBRARIES = (
-    "on Debian and Ubuntu: sudo apt-get install -y libegl1 libgl1 libxkbcommon0 libdbus-1-3 libfontconfig1 libglib2.0-0"
+    "on Debian and Ubuntu: sudo apt-get install -y libegl1 libgl1 libxkbcommon0 libdbus-1-3 libfontconfig1 libglib2.0-0 "
+    "libxkbcommon-x11-0 libxcb-cursor0 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-randr0 libxcb-render-util0 "
+    "libxcb-shape0 libxcb-xkb1"
 )
+X11_PLUGIN = """import ctypes, pathlib, sys, PySide6
+found = pathlib.Path(PySide6.__file__).parent / "Qt/plugins/platforms/libqxcb.so"
+if sys.platform == "linux" and found.exists():
+    ctypes.CDLL(str(found))
+"""
+"""Loads what shows a window under X11, which an import of Qt does not need."""
 ADMINISTRATORS = ("root", "wheel")
 """Groups with rights over the whole computer."""
 MONITOR = ("1313", "8078")
@@ -138,16 +146,20 @@ def versions() -> Iterator[Finding]:
         except metadata.PackageNotFoundError:
             yield Finding(package, level, "is not installed", REINSTALL)
             continue
-        if fault := import_fault(module):
+        if fault := import_fault(f"import {module}"):
             text = "the window cannot open, commands measure without it: " if window_only else ""
             yield Finding(package, level, f"{version}: {text}{fault}", QT_LIBRARIES if window_only else REINSTALL)
         else:
-            yield Finding(package, "ok", f"{version}, with its system libraries" if package == QT else version)
+            yield Finding(package, "ok", version)
+            if package == QT:
+                fault = import_fault(X11_PLUGIN)
+                text = f"the window cannot open under X11: {fault}" if fault else "Qt's system libraries are there"
+                yield Finding("display", "note" if fault else "ok", text, QT_LIBRARIES if fault else "")
 
 
-def import_fault(module: str) -> str:
-    """Why a module cannot be imported, from a process of its own; empty if it can."""
-    command = [sys.executable, "-c", f"import {module}"]
+def import_fault(code: str) -> str:
+    """Why a line of Python that loads a library fails, in a process of its own; empty if it does not."""
+    command = [sys.executable, "-c", code]
     try:
         done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=IMPORT_S, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:

@@ -56,7 +56,7 @@ def new_schedule(
     target_u = _asked("Relative standard uncertainty (k = 1)", target_u, float, USUAL_U)
     longest_h = _asked("Longest machine time, h", longest_h, float, USUAL_H)
     path = _asked("File of the schedule", path, Path, Path(f"{sample.replace(' ', '-')}.toml"))
-    _refuse_existing(path, force)
+    _refuse_existing(path, rig, force)
     made = make_schedule(template, description, str(path), sample, etalon, target_u, longest_h)
     write_file(path, made.text.encode())
     result = {"schedule": str(path), "rows": len(made.plan.rows), "duration_s": made.plan.seconds, "notes": made.notes}
@@ -68,9 +68,11 @@ def _asked(question: str, given: Any, kind: Any, default: Any = None) -> Any:
     return typer.prompt(question, type=kind, default=default, err=True) if given is None else given
 
 
-def _refuse_existing(path: Path, force: bool) -> None:
+def _refuse_existing(path: Path, rig: Path, force: bool) -> None:
     """Raise UserError for a file that cannot be written, and for one that exists and is not to be overwritten."""
     check_writable(path)
+    if path.exists() and rig.exists() and path.samefile(rig):
+        raise UserError(f"{path}: is the rig file, and is kept; choose another name for the schedule")
     if path.exists() and not force:
         if not sys.stdin.isatty():
             raise UserError(f"{path}: exists, and is kept; choose another name, or give --force")

@@ -57,7 +57,6 @@ if TYPE_CHECKING:
     from goniotwin.app.station.messages import DeviceChanged as DeviceChanged
     from goniotwin.app.station.messages import Message as Message
     from goniotwin.app.station.messages import RigClosed as RigClosed
-    from goniotwin.app.station.messages import RigOpened as RigOpened
     from goniotwin.app.station.messages import RunBegun as RunBegun
     from goniotwin.app.station.messages import Snapshot as Snapshot
     from goniotwin.app.station.messages import advance as advance

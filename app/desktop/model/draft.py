@@ -69,13 +69,16 @@ class DraftPlanner:
         self._deliver = deliver
         self._lock = threading.Lock()
         self._number = 0
+        self._making = False
 
     def plan(self, text: str, path: Path, rig: RigOpened | None) -> None:
-        """Plan a text as that of a file `path`; return at once."""
-        self._begin(lambda number: _drafted(number, text, path, rig))
+        """Plan a text as that of a file `path`; return at once. Nothing is planned while a template is written."""
+        if not self._making:
+            self._begin(lambda number: _drafted(number, text, path, rig))
 
     def make(self, choice: TemplateChoice, path: Path, rig: RigOpened | None) -> None:
         """Write the text of a template; return at once."""
+        self._making = True
         self._begin(lambda number: _made(number, choice, path, rig))
 
     def close(self) -> None:
@@ -91,6 +94,7 @@ class DraftPlanner:
         found = work(number)
         with self._lock:
             if number == self._number:
+                self._making = False
                 with contextlib.suppress(RuntimeError):  # the window is gone
                     self._deliver(found)
 

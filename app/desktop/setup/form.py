@@ -109,7 +109,8 @@ class NewSchedule(QDialog):
             choice.setEditable(True)
             choice.addItems(samples)
         self.etalon.setCurrentText("etalon")
-        self.sample.setCurrentText(sample or next((each for each in samples if each != "etalon"), "sample"))
+        others = [each for each in samples if each != "etalon"] or [sample or "sample"]
+        self.sample.setCurrentText(sample if sample in others else others[0])
         self.relative_u, self.longest_h = QLineEdit(TARGET_U), QLineEdit(LONGEST_H)
         self._error = QLabel()
         self._error.setWordWrap(True)

@@ -106,6 +106,9 @@ class SchedulePanel(QGroupBox):
     def set_unsaved(self, path: Path | None, *, unsaved: bool) -> None:
         """Show whether the text differs from the file `path`, or has none yet."""
         show_path(self._path, path or Path(NEW_NAME), "● not saved: " if unsaved else "")
+        if path is None and unsaved:
+            self._name.setText("new schedule")
+            self._path.show()
 
     def set_folder(self, folder: Path) -> None:
         """Show the folder of data files."""
@@ -154,8 +157,8 @@ class SetupScreen(Screen):
         left, middle, self._right = QWidget(), QWidget(), QWidget()
         columns_of: list[tuple[QWidget, tuple[QWidget, ...]]] = [
             (left, (self.schedule, self.form)),
-            (middle, (self._text, self._error)),
-            (self._right, (self.incidence, self._facts)),
+            (middle, (self._text, self._error, self._facts)),
+            (self._right, (self.incidence,)),
         ]
         for column, parts in columns_of:
             layout = QVBoxLayout(column)
@@ -225,13 +228,16 @@ class SetupScreen(Screen):
 
     @Slot(object)
     def show_message(self, message: object) -> None:
-        """Take the rig for which drafts are planned."""
-        if isinstance(message, model.RigOpened | model.RigClosed):
-            self._rig = message if isinstance(message, model.RigOpened) else None
-            self._pause.start()
-        elif isinstance(message, model.RigRead):
+        """Take the samples of a virtual rig, which a new schedule offers."""
+        if isinstance(message, model.RigRead):
             twin = None if message.rig is None else message.rig.twin
             self._samples = () if twin is None else tuple(twin.samples)
+
+    def set_rig(self, rig: "RigOpened | None") -> None:
+        """Take the rig for which texts are planned."""
+        if rig is not self._rig:
+            self._rig = rig
+            self._pause.start()
 
     # The text.
 
@@ -302,7 +308,7 @@ class SetupScreen(Screen):
             self.drafted = replace(drafted, maps=before_maps)
             return  # the directions stay those of the last plan
         self.drafted = drafted
-        self._facts.setText("\n".join([*drafted.facts, *(f"⚠ {each}" for each in drafted.warnings)]))
+        self._facts.setText("\n".join(["; ".join(drafted.facts), *(f"⚠ {each}" for each in drafted.warnings)]))
         before = self.incidence.currentText()
         self.incidence.clear()
         self.incidence.addItems([model.map_title(each) for each in drafted.maps])

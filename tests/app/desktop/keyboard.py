@@ -21,6 +21,11 @@ def press(*keys: str) -> None:
         QTest.keyClick(_focus(), pressed.key(), pressed.keyboardModifiers())
 
 
+def type_text(text: str) -> None:
+    """Type a text where the focus is."""
+    QTest.keyClicks(_focus(), text)
+
+
 def press_at(key: str) -> float:
     """Press and release a key; return the calendar time just before, s."""
     pressed_s = calendar_s()
