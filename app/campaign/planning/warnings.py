@@ -21,7 +21,7 @@ from goniotwin.app.campaign.planning.timeline import MeasurementBlock, PlannedRo
 from goniotwin.app.campaign.planning.validation import certified_directions
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.certificate import parse_certificate
-from goniotwin.app.campaign.schedule.file import DriftTable, ScheduleDescription
+from goniotwin.app.campaign.schedule.file import DriftTable, ScheduleDescription, ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.campaign.wording import duration_text, number_list
 from goniotwin.app.rig import RigFile
@@ -47,7 +47,7 @@ def plan_warnings(plan: NewPlan, arcs: list[ArcDirections]) -> list[str]:
         *scan_notes(plan.schedule.file, plan.rig.file),
         *_second_order(plan),
         *_uncertain_duration(plan),
-        *_beyond_longest(plan),
+        *beyond_longest(plan.schedule.file, plan.seconds),
         *plan.rig.alignment_notes,
     ]
 
@@ -66,7 +66,8 @@ def _blocked(arcs: list[ArcDirections]) -> Iterator[str]:
         if each.specular_blocked and not each.transmitted:
             yield (
                 f"at sigma {each.sigma_deg:g} deg the mirror unit blocks the specular direction, "
-                f"{incidence_deg(each.sigma_deg):g} deg from the normal. There is no valid value in that direction"
+                f"{incidence_deg(each.sigma_deg):g} deg from the normal. There is no valid value in that direction. "
+                "Choose a sigma at which it is free, if you need it"
             )
         elif each.specular_blocked:
             yield (
@@ -230,12 +231,12 @@ def _uncertain_duration(plan: NewPlan) -> Iterator[str]:
         )
 
 
-def _beyond_longest(plan: NewPlan) -> Iterator[str]:
-    """A warning if the estimated duration is longer than the machine time that `[target]` allows."""
-    target = plan.schedule.file.target
-    if target is not None and target.longest_h is not None and plan.seconds > (longest_s := 3600.0 * target.longest_h):
+def beyond_longest(file: ScheduleFile, seconds: float) -> Iterator[str]:
+    """A warning if the expected duration is longer than the machine time that `[target]` allows."""
+    target = file.target
+    if target is not None and target.longest_h is not None and seconds > (longest_s := 3600.0 * target.longest_h):
         yield (
-            f"the estimated duration of {duration_text(plan.seconds)} is {duration_text(plan.seconds - longest_s)} more than "
+            f"the expected duration of {duration_text(seconds)} is {duration_text(seconds - longest_s)} more than "
             f"[target] longest_h = {target.longest_h:g}. Take coarser grids, or fewer readings"
         )
 

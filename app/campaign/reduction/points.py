@@ -82,7 +82,7 @@ FLAGS: dict[str, Flag] = {
     "no-etalon": Flag(
         "etalon signal too low",
         "without a signal of the etalon",
-        "choose one that scatters to the side that the photodiodes look at",
+        "add a higher gain, or choose an etalon that scatters to the side that the photodiodes look at",
     ),
     # No signal of the etalon where there should be one; or the photodiode has lost its dark current.
     "dead": Flag("the photodiode", "of dead photodiodes", "repair them"),

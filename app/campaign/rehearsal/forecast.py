@@ -18,14 +18,17 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.components import COVERAGE
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.reduction import Reduction
+from goniotwin.app.campaign.schedule.file import TargetTable
 from goniotwin.app.campaign.studies.checks import CheckResults, ConsistencyChecks
 from goniotwin.app.campaign.studies.decades import (
     TargetInDecade,
     UncertaintyByDecade,
     UncertaintySummary,
+    peak_shares,
     relative_uncertainty,
 )
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.reflectance import integration_settings
 from goniotwin.app.campaign.studies.theory import deviations_in_u, true_bsdf
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import FormatError, PointStream
@@ -52,36 +55,68 @@ COMMENTS = (
 )
 
 
+MOST_BELOW = 0.5
+"""Share of the trusted values of a setting below the detection limit, above which the setting is named."""
+
+
+@dataclass(frozen=True)
+class MostlyBelow:
+    """A setting in words with so many trusted `values`, more than half of which are `below` the detection limit."""
+
+    setting: str
+    values: int
+    below: int
+
+
 @dataclass(frozen=True)
 class SpreadSummary(UncertaintySummary):
     """The relative uncertainties of a sample's values, its numbers of directions, and the distance from a known truth.
 
+    `below_detection` is the number of trusted values below the detection limit, and `mostly_below` has the settings where most
+    are. `largest` is the component with the largest mean `share` of u squared near the peak; empty without a value.
     `coverage` is the share of the trusted values within their 95 % interval of the truth, `worst_u` the largest deviation in u;
     NaN without a truth.
     """
 
     directions: int
     trusted: int
+    below_detection: int
+    mostly_below: list[MostlyBelow]
+    largest: str
+    share: float
     coverage: float
     worst_u: float
 
 
 @dataclass
 class UncertaintySpread:
-    """Relative uncertainties of one sample, `known` by decade below the peak.
+    """Relative uncertainties of one sample, `known` by decade below the peak, and shares of u squared from `peak_share` on.
 
     `truth` is the sample's model, where there is one; `deviations` of the trusted values from it are in their u.
     """
 
     truth: Scatterer | None = None
+    peak_share: float = TargetTable().above_peak_share
     tally: Tally = field(default_factory=Tally)
     known: UncertaintyByDecade = field(default_factory=UncertaintyByDecade)
     deviations: list[Floats] = field(default_factory=list)
+    mostly_below: list[MostlyBelow] = field(default_factory=list)
+    shares: dict[str, float] = field(default_factory=dict)
 
     def add(self, points: BsdfPoints) -> None:
         """Take more points."""
         self.tally.add(points)
         self.known.add(points)
+        below = points.flag("under-range")
+        for each in integration_settings(points):
+            trusted = each.index[points.good[each.index]]
+            if (lost := int(below[trusted].sum())) > MOST_BELOW * trusted.size:
+                self.mostly_below.append(MostlyBelow(str(each), trusted.size, lost))
+        near = points.where(points.good & ~below)
+        near = near.where(peak_shares(near, near.bsdf) >= self.peak_share)
+        squared = near.u_bsdf**2
+        for name, variance in near.components.items():
+            self.shares[name] = self.shares.get(name, 0.0) + float(np.sum(variance / squared))
         if self.truth is not None:
             good = points.where(points.good)
             self.deviations.append(deviations_in_u(good, true_bsdf(self.truth, good)))
@@ -89,10 +124,18 @@ class UncertaintySpread:
     def summary(self) -> SpreadSummary:
         """The summary of all points that were added."""
         z = np.abs(np.concatenate(self.deviations)) if self.deviations else np.zeros(0)
+        (largest, share), total = (
+            max(self.shares.items(), key=lambda each: each[1], default=("", 0.0)),
+            sum(self.shares.values()),
+        )
         return SpreadSummary(
             **vars(self.known.summary()),
             directions=self.tally.directions,
             trusted=self.tally.good,
+            below_detection=self.tally.under_range,
+            mostly_below=self.mostly_below,
+            largest=largest if total else "",
+            share=share / total if total else 0.0,
             coverage=float(np.mean(z <= COVERAGE)) if z.size else math.nan,
             worst_u=float(np.max(z)) if z.size else math.nan,
         )
@@ -171,7 +214,10 @@ def _parts(
         for block in reduction.blocks(name):
             checks.add(block.points)
             points = reduction.finish(name, block.points, overlaps)
-            spreads.setdefault(name, UncertaintySpread(truth.get(name))).add(points)
+            if name not in spreads:
+                target = reduction.schedule.target or TargetTable()
+                spreads[name] = UncertaintySpread(truth.get(name), target.above_peak_share)
+            spreads[name].add(points)
             columns: dict[str, npt.NDArray[Any]] = {"sample": np.full(points.bsdf.size, name)}
             columns |= {column: getattr(points, column) for column in POINT_COLUMNS}
             columns |= {"bsdf_per_sr": points.bsdf, "relative_uncertainty": relative_uncertainty(points)}

@@ -13,12 +13,13 @@ from pathlib import Path
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import NewPlan, Plan, make_plan
+from goniotwin.app.campaign.planning.warnings import beyond_longest
 from goniotwin.app.campaign.rehearsal.assumed_references import assume_referenced
 from goniotwin.app.campaign.rehearsal.blocks import OTHER_TIMES, divide, run_blocks, statistics_of, why_in_one_process
 from goniotwin.app.campaign.rehearsal.expected_poses import expected_poses
 from goniotwin.app.campaign.rehearsal.forecast import SpreadSummary, forecast
 from goniotwin.app.campaign.rehearsal.row_statistics import MountingBlock, RowStatistics
-from goniotwin.app.campaign.rehearsal.warnings import rehearsal_warnings, target_warnings, value_warnings
+from goniotwin.app.campaign.rehearsal.warnings import missed_warnings, rehearsal_warnings, unchecked_warnings
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Listener, State
 from goniotwin.app.campaign.running.operator import VirtualOperator
@@ -48,7 +49,8 @@ class RehearsalResult:
     `foretold_s` is the duration of the plan, `duration_s` that of the run; `sessions` are more than one where the schedule's
     [stop] ended it. `saturated` is the number of values that are so at every gain. `checks` and `relative_uncertainty` are of
     the journal, and `target` compares them with the schedule's [target], by sample; it is empty without a target of u.
-    `assumed` states what was assumed of the rig.
+    `missed` are the warnings for which a window asks before it starts: the target is missed, or most values of a setting are
+    below the detection limit. `assumed` states what was assumed of the rig.
     """
 
     simulated: bool
@@ -69,6 +71,7 @@ class RehearsalResult:
     lamp_hours: float
     journal_bytes: int
     warnings: list[str]
+    missed: list[str]
     assumed: list[str]
 
 
@@ -138,7 +141,10 @@ def rehearse(
     with tempfile.TemporaryDirectory(prefix="goniotwin-rehearsal-") as folder:
         path = out if out is not None else Path(folder) / "rehearsal.journal"
         run = run_in_processes(plan, path, statistics, listeners or [], processes)
-        warnings = [*check_plan(plan).warnings, *rehearsal_warnings(plan, statistics)]
+        file, rig = plan.schedule.file, plan.rig.file
+        estimate = {*beyond_longest(file, plan.seconds)}  # its place is taken by the duration of the run
+        planned = [each for each in check_plan(plan).warnings if each not in estimate]
+        warnings = [*planned, *rehearsal_warnings(plan, statistics)]
         heading = f"SIMULATED: {plan.schedule.file.name} rehearsed on {plan.rig.file.name}; nothing here is real"
         about = [heading, *(f"assumed: {each}" for each in (*assumed, *run.assumed))]
         model = plan.rig.model()
@@ -153,8 +159,11 @@ def rehearse(
                 f"the schedule's [stop] ends the run {run.sessions - 1} times; continue each time with goniotwin run --resume"
             )
         warnings += predicted.check_results.alarms
-        warnings += value_warnings(plan.schedule.file, predicted.tallies, predicted.unchecked) if not predicted.trouble else []
-        warnings += target_warnings(plan.schedule.file, predicted.target)
+        warnings += unchecked_warnings(predicted.unchecked)
+        missed = [
+            *([] if predicted.trouble else missed_warnings(file, rig, predicted)),
+            *beyond_longest(file, run.seconds),
+        ]
         result = RehearsalResult(
             simulated=True,
             state="stopped" if run.state is State.IDLE else str(run.state),
@@ -176,7 +185,8 @@ def rehearse(
             target=predicted.target,
             lamp_hours=run.seconds / 3600.0,
             journal_bytes=path.stat().st_size,
-            warnings=warnings,
+            warnings=[*missed, *warnings],
+            missed=missed,
             assumed=[*assumed, *run.assumed],
         )
     return Rehearsal(plan, run.state, result)

@@ -58,7 +58,7 @@ def _spread(name: str, spread: SpreadSummary) -> Iterator[tuple[bool, str]]:
         False,
         (
             f"  {spread.directions} directions measured, {spread.trusted} trusted, {spread.above_zero} above 0, "
-            f"{spread.to_a_tenth} with u below 10 %{_distance(spread)}"
+            f"{spread.below_detection} below the detection limit, {spread.to_a_tenth} with u below 10 %{_distance(spread)}"
         ),
     )
 

@@ -12,13 +12,16 @@ import numpy as np
 from goniotwin.app.campaign.geometry.arcs import arc_views, observing_arcs, polar_deg
 from goniotwin.app.campaign.geometry.directions import ARCS
 from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.reduction.components import INDEPENDENT, words_of
 from goniotwin.app.campaign.reduction.drift_checks import unchecked_note
 from goniotwin.app.campaign.reduction.points import FLAGS, Tally
+from goniotwin.app.campaign.rehearsal.forecast import Forecast, SpreadSummary
 from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
 from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
-from goniotwin.app.campaign.studies.decades import TargetInDecade, percent
+from goniotwin.app.campaign.studies.decades import percent
+from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument, Scatterer, arc_direction, evaluate, light_direction, luminance_factor
 from goniotwin.twin.optics.bsdf.kinds import REGULAR
@@ -41,9 +44,14 @@ def rehearsal_warnings(plan: Plan, statistics: RowStatistics) -> Iterator[str]:
     yield from field_warnings(plan)
     yield from _low_gains(plan, statistics)
     if statistics.saturated:
-        yield f"{statistics.saturated} values are saturated at every gain of the schedule. Add a lower gain to gains_v_per_a"
+        gains = plan.rig.file.photodiodes.gains_v_per_a
+        used = plan.schedule.file.gains_v_per_a
+        lower = [each for each in gains if used != "automatic" and each < min(used)]
+        remedy = f"Add {lower[-1]:g} V/A to gains_v_per_a" if lower else "The rig has no lower gain: attenuate the light"
+        yield f"{statistics.saturated} values are saturated at every gain of the schedule. {remedy}"
     for flag, rows in sorted(statistics.flagged.items()):
-        yield f"{rows} rows have the flag {flag!r}"
+        remedy = FLAGS[flag].remedy if flag in FLAGS else ""
+        yield f"{rows} rows have the flag {flag!r}: {remedy or 'see the events of the data file'}"
 
 
 def field_warnings(plan: Plan) -> Iterator[str]:
@@ -143,26 +151,31 @@ def _low_gains(plan: Plan, statistics: RowStatistics) -> Iterator[str]:
         if better:
             yield (
                 f"signal of {name} too low at {highest:g} V/A: its brightest photodiode uses {steps[highest]:.0f} of "
-                f"{statistics.span} steps of the converter. Add {better[-1]:g} to gains_v_per_a"
+                f"{statistics.span} steps of the converter. Add {better[-1]:g} V/A to gains_v_per_a"
             )
 
 
-def value_warnings(file: ScheduleFile, tallies: Mapping[str, Tally], unchecked: Mapping[str, tuple[int, ...]]) -> Iterator[str]:
-    """Warnings on the rehearsal's own points: samples without a useful value, and unchecked photodiodes.
+def noise_remedy(file: ScheduleFile, rig: RigFile) -> str:
+    """What to change in a schedule against noise: a higher gain where the rig has one, else more readings."""
+    highest = max(rig.photodiodes.gains_v_per_a)
+    if file.gains_v_per_a != "automatic" and highest > max(file.gains_v_per_a):
+        return f"Add {highest:g} V/A to gains_v_per_a"
+    if (table := file.averaging) is not None:
+        below = f"relative_uncertainty below {table.relative_uncertainty:g}"
+        return f"In [averaging] set longest_s above {table.longest_s:g}, or {below}"
+    return f"Set readings above {file.readings}, or add [averaging] for faint light"
 
-    `tallies` are the counts of points by sample, `unchecked` the photodiodes that drift checks do not cover.
-    """
-    for name in file.samples:
-        tally = tallies.get(name)
-        if tally is None:
-            yield f"{name} has no values: no row of the etalon scales its rows"
-        elif not tally.good:
-            yield f"{name} has no values: of {tally.directions} directions {_reasons(tally)}"
-        elif tally.under_range == tally.good:
-            yield (
-                f"{name} has no value above its noise in any of {tally.good} directions: too little light reaches the "
-                "photodiodes. Use a higher gain or more readings, or check the sample, side and light of the schedule"
-            )
+
+def missed_warnings(file: ScheduleFile, rig: RigFile, found: Forecast) -> list[str]:
+    """Warnings on the points of a journal that has values: samples without a useful value, and those that miss the target."""
+    return [
+        *_target_warnings(file, rig, found),
+        *(each for name in file.samples for each in _lost_warnings(name, file, rig, found)),
+    ]
+
+
+def unchecked_warnings(unchecked: Mapping[str, tuple[int, ...]]) -> Iterator[str]:
+    """Warnings on the photodiodes that drift checks do not cover, by the sample."""
     for name, photodiodes in unchecked.items():
         yield (
             f"{unchecked_note(name, photodiodes)}. Choose a [drift] pose at which more of them have light, or measure the "
@@ -170,19 +183,50 @@ def value_warnings(file: ScheduleFile, tallies: Mapping[str, Tally], unchecked: 
         )
 
 
-def target_warnings(file: ScheduleFile, found: Mapping[str, list[TargetInDecade]]) -> Iterator[str]:
-    """A warning for each sample that misses the schedule's target of u in a decade of the peak, or has no value there."""
-    for name, decades in found.items():
-        if decades and all(each.met for each in decades):
+def _lost_warnings(name: str, file: ScheduleFile, rig: RigFile, found: Forecast) -> Iterator[str]:
+    """A warning for a sample without values, or with settings of which most values are below the detection limit."""
+    tally = found.tallies.get(name)
+    if tally is None:
+        yield f"{name} has no values: no row of the etalon scales its rows"
+    elif not tally.good:
+        yield f"{name} has no values: of {tally.directions} directions {_reasons(tally)}"
+    elif tally.under_range == tally.good:
+        yield (
+            f"{name} has no value above its noise in any of {tally.good} directions: too little light reaches the "
+            f"photodiodes. {noise_remedy(file, rig)}, or check the sample, side and light of the schedule"
+        )
+    elif below := found.spread[name].mostly_below:
+        worst = max(below, key=lambda each: each.below / each.values)
+        more = f", and more than half in {len(below) - 1} other settings" if len(below) > 1 else ""
+        yield (
+            f"{name}: {worst.below} of {worst.values} directions are below the detection limit at {worst.setting}{more}. "
+            f"{noise_remedy(file, rig)}, or measure fewer directions away from the lobe"
+        )
+
+
+def _target_warnings(file: ScheduleFile, rig: RigFile, found: Forecast) -> Iterator[str]:
+    """A warning for each sample that misses the schedule's target of u in a decade of the peak."""
+    for name, decades in found.target.items():
+        if all(each.met for each in decades):
             continue
         assert file.target is not None
         assert file.target.relative_u is not None
         values, within = sum(each.values for each in decades), sum(each.within for each in decades)
+        largest = found.spread[name].largest
+        remedy = (
+            noise_remedy(file, rig)
+            if largest in (*INDEPENDENT, "dark", "")
+            else "More readings do not reduce it: state a smaller one in [uncertainty] if it is known, or ask for less"
+        )
         yield (
             f"{name} misses [target] relative_u = {file.target.relative_u:g}: {within} of {values} values from "
-            f"{percent(file.target.above_peak_share)} of the peak on reach it. Against noise, take more readings, a smaller "
-            "[averaging] relative_uncertainty or a higher gain. goniotwin budget shows the other components"
+            f"{percent(file.target.above_peak_share)} of the peak on reach it. {largest_text(found.spread[name])}{remedy}"
         )
+
+
+def largest_text(found: SpreadSummary) -> str:
+    """The largest component of u near the peak as a sentence; empty without a value."""
+    return f"The largest component is {words_of(found.largest)}, {percent(found.share)} of u squared. " if found.largest else ""
 
 
 def _reasons(tally: Tally) -> str:

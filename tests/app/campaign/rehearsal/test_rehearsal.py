@@ -15,6 +15,7 @@ from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.rehearsal.rehearsal import Rehearsal, plan_rehearsal, rehearse
 from goniotwin.app.campaign.rehearsal.report import report_text
+from goniotwin.app.campaign.rehearsal.warnings import noise_remedy
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
@@ -267,3 +268,51 @@ def test_the_memory_of_a_rehearsal_does_not_grow_with_the_rows(
     # The counts of one row alone take 72 bytes; there are 560 rows in between. The light of 512 poses is kept, the fields of
     # 1024 frames and 2000 transfers of the monitor, which are full by then; caches vary by some 10 kB.
     assert memory[2060] - memory[1500] < 560 * 72
+
+
+def test_a_setting_that_is_mostly_below_detection_is_named_with_what_to_change(
+    write_rig: Writer, write_schedule: Writer
+) -> None:
+    """It runs to its end without a fault, and tells little of the sample."""
+    rehearsal = run_rehearsal(write_schedule(("[1e8, 1e10]", "[1e8]")), write_rig())
+    assert rehearsal.done
+    spread = rehearsal.result.relative_uncertainty["gaussian-5"]
+    (below,) = spread.mostly_below
+    assert below.setting == "550 nm, sigma 30 deg"
+    assert 0.5 * below.values < below.below == spread.below_detection
+    text = f"gaussian-5: {below.below} of {below.values} directions are below the detection limit at 550 nm, sigma 30 deg. Add"
+    assert [each.partition(" 1e+11 V/A to gains_v_per_a")[0] for each in rehearsal.result.missed] == [text]
+    assert rehearsal.result.missed[0] in rehearsal.result.warnings
+    assert f", {below.below} below the detection limit, " in report_text(rehearsal)
+    wide = run_rehearsal(
+        write_schedule(), write_rig(), sample="gaussian:width_deg=15,reflectance=0.9+lambertian:reflectance=0.1"
+    )
+    assert not wide.result.missed
+
+
+def test_a_duration_beyond_the_target_and_a_sample_without_values_are_missed(write_rig: Writer, tmp_path: Path) -> None:
+    schedule = tmp_path / "long.toml"
+    text = SMALL.replace("[1e8, 1e10]", "[1e6]").replace("readings = 2", "readings = 3", 1)
+    schedule.write_text(f"{text}\n[target]\nrelative_u = 0.1\nlongest_h = 0.001\n", encoding="utf-8")
+    rehearsal = run_rehearsal(schedule, write_rig())
+    no_value, duration = rehearsal.result.missed
+    assert no_value.startswith("gaussian-5 has no values: of 36 directions 36 are without a signal of the etalon")
+    assert "more than [target] longest_h = 0.001. Take coarser grids" in duration
+    assert len(warnings_with(rehearsal, "longest_h")) == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "remedy"),
+    [
+        (("[1e8, 1e10]", "[1e8]"), "Add 1e+11 V/A to gains_v_per_a"),
+        (("[1e8, 1e10]", "[1e11]"), "Set readings above 2, or add [averaging] for faint light"),
+        (
+            ("[1e8, 1e10]", '"automatic"\naveraging = { relative_uncertainty = 0.01 }'),
+            "In [averaging] set longest_s above 10, or relative_uncertainty below 0.01",
+        ),
+    ],
+)
+def test_the_remedy_against_noise_is_a_higher_gain_and_else_more_readings(
+    write_rig: Writer, write_schedule: Writer, change: tuple[str, str], remedy: str
+) -> None:
+    assert noise_remedy(read_schedule(write_schedule(change)).file, read_rig(write_rig()).file) == remedy
