@@ -10,7 +10,7 @@ from PySide6.QtWidgets import QMainWindow, QMenu
 
 import goniotwin
 from goniotwin.app.desktop.remembered import Kind, Remembered
-from goniotwin.app.desktop.run.panel import FINISH_KEY, HOLD_KEY, PAUSE_KEY, START_KEY, STOP_KEY
+from goniotwin.app.desktop.run.panel import FINISH_KEY, HOLD_KEY, PAUSE_KEY, REHEARSE_KEY, START_KEY, STOP_KEY
 from goniotwin.app.desktop.theme import Scheme
 from goniotwin.app.desktop.view import MainView
 
@@ -60,11 +60,16 @@ class Menus(QObject):
     def _remember_sound(self) -> None:
         self._remembered.set_text("sound", "" if self._sound.isChecked() else SILENT)
 
+    def set_rehearsing(self, rehearsing: bool) -> None:
+        """Name what the action of the rehearsal does now."""
+        self._rehearse.setText("Cancel re&hearsal" if rehearsing else "Re&hearse")
+
     def refresh(self) -> None:
         """Enable each action as its button is."""
         run, rig, schedule = self._view.run, self._view.rig, self._view.schedule
         for action, button in (
             (self._start, run.start_button),
+            (self._rehearse, run.rehearse_button),
             (self._pause, run.pause_button),
             (self._stop, run.stop_button),
             (self._finish, run.finish_button),
@@ -96,6 +101,7 @@ class Menus(QObject):
     def _fill_run(self, menu: QMenu) -> None:
         run = self._view.run
         self._start = self._add(menu, "&Start", run.start_button.click, START_KEY)
+        self._rehearse = self._add(menu, "Re&hearse", run.rehearse_button.click, REHEARSE_KEY)
         self._pause = self._add(menu, "&Pause after row", run.pause_button.click, PAUSE_KEY)
         self._finish = self._add(menu, "Finish cu&t, then end", run.finish_button.click, FINISH_KEY)
         # Its keys are those of the panel, which hold in every window of the program.
@@ -180,6 +186,7 @@ def keys_text(view: MainView) -> str:
         (f"hold {HOLD_KEY} for a second", "Stop: all axes come to rest and the run ends"),
         (STOP_KEY, "Stop, at once"),
         (START_KEY, "Start the schedule, into a new journal"),
+        (REHEARSE_KEY, "Rehearse the schedule on the digital twin, or cancel the rehearsal"),
         (PAUSE_KEY, "Pause after the row, or resume; before a run, resume an unfinished campaign of the schedule"),
         (FINISH_KEY, "Finish the cut in progress, then end the run"),
         (OPEN_SCHEDULE_KEY, "Open a schedule file"),

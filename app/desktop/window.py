@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from goniotwin.app.desktop.model.connection import Connection, Stations
     from goniotwin.app.desktop.model.permissions import Permissions
     from goniotwin.app.desktop.presenter import Presenter
+    from goniotwin.app.desktop.run.rehearsal import RehearsalControl
     from goniotwin.app.station.messages import QuestionAsked
 
 CLICK_MS = 150
@@ -48,6 +49,7 @@ LATER = (
     f"{DESKTOP}.presenter",
     f"{DESKTOP}.model.connection",
     f"{DESKTOP}.run.live_plot",
+    f"{DESKTOP}.run.rehearsal",
     f"{DESKTOP}.results.panels",
     "qtawesome",
 )
@@ -59,6 +61,7 @@ class MainWindow(QMainWindow):
 
     presenter: "Presenter"
     connection: "Connection"
+    rehearsal: "RehearsalControl"
     imported = Signal()
     campaigns_listed = Signal(object)
 
@@ -132,6 +135,7 @@ class MainWindow(QMainWindow):
             from goniotwin.app.desktop.model.campaigns import CampaignList
             from goniotwin.app.desktop.model.connection import Connection
             from goniotwin.app.desktop.presenter import Presenter
+            from goniotwin.app.desktop.run.rehearsal import RehearsalControl
 
             self.view.complete()
         except ImportError as error:
@@ -140,6 +144,7 @@ class MainWindow(QMainWindow):
         self._complete = True
         rig, schedule, speed = self._first
         self.presenter = Presenter(self.view, rig, self, processes=self._stations is None)
+        self.rehearsal = RehearsalControl(self, processes=self._stations is None)
         self._connect()
         self.connection = Connection(self.presenter.message_received.emit, speed, self._stations, f"window {os.getpid()}")
         self._campaign_list = CampaignList(self.campaigns_listed.emit)
@@ -182,7 +187,10 @@ class MainWindow(QMainWindow):
             self.presenter.message_shown.connect(screen.show_message)
             screen.command.connect(self._command)
         run, rig, schedule = self.view.run, self.view.rig, self.view.schedule
-        run.start.connect(self._start)
+        run.start.connect(self._ask_start)
+        run.rehearse.connect(self.rehearsal.toggle)
+        self.rehearsal.progressed.connect(self._show_rehearsal)
+        self.rehearsal.reported.connect(self._show_report)
         run.pause.connect(self._pause)
         run.resume.connect(self._resume)
         run.stop.connect(self._stop)
@@ -219,7 +227,7 @@ class MainWindow(QMainWindow):
         for button in (*self.view.rig.buttons, self.view.rig.person, *self.view.schedule.buttons):
             button.setEnabled(enabled)
         if not self._complete:
-            for control in (run.start_button, run.pause_button, run.finish_button, run.stop_button):
+            for control in (run.start_button, run.rehearse_button, run.pause_button, run.finish_button, run.stop_button):
                 control.setEnabled(False)
         self.menus.refresh()
 
@@ -231,6 +239,7 @@ class MainWindow(QMainWindow):
         if permissions != self._permissions or plan is not self._plan:  # most of hundreds of messages a second change neither
             self._permissions, self._plan = permissions, plan
             self.view.run.set_permissions(permissions)
+            self.rehearsal.set_plan(plan, permissions.no_rehearsal)
             self.view.screen_of(CampaignsScreen).set_resume(permissions.refusals["continue"])
             self._offer_unfinished()
             self._set_enabled(permissions.open)
@@ -288,7 +297,15 @@ class MainWindow(QMainWindow):
 
     # The run.
 
+    @Slot(str)
+    def _show_rehearsal(self, progress: str) -> None:
+        self.view.run.set_rehearsal(progress)
+        self.menus.set_rehearsing(bool(progress))
+
     @Slot()
+    def _ask_start(self) -> None:
+        self.rehearsal.before_start(self._start)
+
     def _start(self) -> None:
         if self.presenter.plan is not None:
             self.close_question.keep_open()
@@ -479,6 +496,7 @@ class MainWindow(QMainWindow):
                 self._import.join()
             if self._complete:
                 self.presenter.close()
+                self.rehearsal.end("")
                 self.connection.close()
                 self._campaign_list.close()
             for screen in self.view.screens:

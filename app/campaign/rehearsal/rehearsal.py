@@ -49,8 +49,8 @@ class RehearsalResult:
     `foretold_s` is the duration of the plan, `duration_s` that of the run; `sessions` are more than one where the schedule's
     [stop] ended it. `saturated` is the number of values that are so at every gain. `checks` and `relative_uncertainty` are of
     the journal, and `target` compares them with the schedule's [target], by sample; it is empty without a target of u.
-    `missed` are the warnings for which a window asks before it starts: the target is missed, or most values of a setting are
-    below the detection limit. `assumed` states what was assumed of the rig.
+    `missed` are the warnings for which a window asks before it starts: rows or the target are missed, or most values of a
+    setting are below the detection limit. `assumed` states what was assumed of the rig.
     """
 
     simulated: bool
@@ -144,7 +144,7 @@ def rehearse(
         file, rig = plan.schedule.file, plan.rig.file
         estimate = {*beyond_longest(file, plan.seconds)}  # its place is taken by the duration of the run
         planned = [each for each in check_plan(plan).warnings if each not in estimate]
-        warnings = [*planned, *rehearsal_warnings(plan, statistics)]
+        warnings, missed = [*planned, *rehearsal_warnings(plan, statistics)], list[str]()
         heading = f"SIMULATED: {plan.schedule.file.name} rehearsed on {plan.rig.file.name}; nothing here is real"
         about = [heading, *(f"assumed: {each}" for each in (*assumed, *run.assumed))]
         model = plan.rig.model()
@@ -152,15 +152,15 @@ def rehearse(
         predicted = forecast(path, points, about, truth=model.samples)
         if predicted.trouble:
             warnings.append(f"the uncertainty cannot be predicted: {predicted.trouble}")
-        if run.state is State.IDLE:
-            warnings.append(f"the campaign ends before all rows are measured: {run.ended_by_schedule}")
+        if run.state is not State.DONE:
+            missed = [f"the campaign ends before all rows are measured: {run.ended_by_schedule or run.faults[-1]}"]
         elif run.sessions > 1:
             warnings.append(
                 f"the schedule's [stop] ends the run {run.sessions - 1} times; continue each time with goniotwin run --resume"
             )
         warnings += predicted.check_results.alarms
         warnings += unchecked_warnings(predicted.unchecked)
-        missed = [
+        missed += [
             *([] if predicted.trouble else missed_warnings(file, rig, predicted)),
             *beyond_longest(file, run.seconds),
         ]

@@ -162,9 +162,16 @@ class QuestionBox(QDialog):
 REPLACE, CANCEL = "Replace", "Cancel"
 
 
-def ask_to_replace(parent: QWidget, title: str, text: str, replace: Callable[[], object], verb: str = REPLACE) -> QuestionBox:
+def ask_to_replace(
+    parent: QWidget,
+    title: str,
+    text: str,
+    replace: Callable[[], object],
+    verb: str = REPLACE,
+    effect: str = "The former content is lost",
+) -> QuestionBox:
     """Ask before something is lost, and call `replace` after a yes, whose label is `verb`. Blocks nothing."""
-    choices = [Choice(verb, "The former content is lost"), Choice(CANCEL, "Nothing changes", default=True)]
+    choices = [Choice(verb, effect), Choice(CANCEL, "Nothing changes", default=True)]
     box = QuestionBox(parent, title, text, choices)
 
     def answered(label: str) -> None:

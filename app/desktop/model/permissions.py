@@ -10,13 +10,15 @@ from goniotwin.app.station.permissions import allowed, watching
 
 @dataclass(frozen=True)
 class Permissions:
-    """Whether each control is enabled. `no_start` is the reason why Start is not, in one line; empty if it is.
+    """Whether each control is enabled. `no_start` is the reason why Start is not, in one line, `no_rehearsal` why Rehearse is
+    not; empty if it is.
 
     `refusals` has the reason for each command of the station, empty where it is allowed for this window; `watching` is why it
     only watches, empty if it operates.
     """
 
     no_start: str
+    no_rehearsal: str
     pause: bool
     resume: bool
     stop: bool
@@ -37,6 +39,7 @@ def permissions(
     refusals = {command: reason or watching(station, name, command) for command, reason in allowed(station).items()}
     busy = state in BUSY
     begins = busy and not station.busy and station.operated_by(name)  # from the key on: what is pressed goes after the start
+    missing = "" if plan is not None else no_plan or "no schedule is open"
     if opening:
         no_start = "the rig is being opened"
     elif busy:
@@ -44,9 +47,10 @@ def permissions(
     elif refusals["start"]:
         no_start = refusals["start"]
     else:
-        no_start = "" if plan is not None else no_plan or "no schedule is open"
+        no_start = missing
     return Permissions(
         no_start=no_start,
+        no_rehearsal=f"a run is {state}" if busy else missing,
         pause=begins or not refusals["pause"],
         resume=not refusals["resume"],
         stop=station.rig is not None or lost or begins,

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from goniotwin.app.desktop.model.worker import Worker, WorkerEnded
-from goniotwin.app.errors import UserError
+from goniotwin.app.desktop.model.worker import OneAtATime, send_result
 from goniotwin.app.formats.file import make_folder, write_file
 from goniotwin.app.json_document import json_text
 from goniotwin.app.simulation.tolerances.study import (
@@ -38,7 +37,6 @@ TEXT_COLUMNS = 100
 """Width of the text of a result."""
 FEW = 4
 """Names of a list that are given one by one."""
-ENDED = "the computation was ended by another program, or memory was short; compute the study again"
 
 
 @dataclass(frozen=True)
@@ -209,16 +207,7 @@ def serve_study(connection: "Connection[Any, Any]") -> None:
             waiting = request.wanted
             connection.send(StudyProgress(share, step, waiting))
 
-    try:
-        connection.send(compute_outcome(path, report))
-    except EOFError:  # the window is gone, or wants the study no more
-        raise
-    except UserError as error:
-        connection.send(StudyFailed(str(error)))
-    except MemoryError:
-        connection.send(StudyFailed("there is too little memory for it; give fewer combinations"))
-    except Exception as error:  # noqa: BLE001  (of any library: reported, and the window goes on)
-        connection.send(StudyFailed(f"{type(error).__name__}: {error}"))
+    send_result(connection, lambda: compute_outcome(path, report), StudyFailed)
 
 
 def compute_outcome(path: Path, report: Callable[[float, str], None]) -> StudyOutcome:
@@ -324,41 +313,17 @@ def percent_text(value: float) -> str:
     return f"{value:.2f} %" if math.isfinite(value) else "no value"
 
 
-class Studies:
+class Studies(OneAtATime[StudyAnswer]):
     """Computes one study at a time in a worker. `deliver` is called in a thread, with the number of a study and an answer."""
 
     def __init__(self, deliver: Callable[[tuple[int, StudyAnswer]], None], *, process: bool = True) -> None:
-        self._deliver = deliver
-        self._process = process
-        self._worker: Worker | None = None
-        self.number = 0
-        """The number of the study that is computed, or was last."""
+        super().__init__("tolerances", serve_study, deliver, StudyProgress, StudyFailed, process=process)
 
     def compute(self, path: Path) -> None:
         """Begin a study, in place of one that is being computed; at once."""
         self.end()
-        self.number += 1
-        number, done = self.number, False
-
-        def deliver(answer: object) -> None:
-            nonlocal done
-            if isinstance(answer, WorkerEnded):
-                answer = StudyFailed(ENDED)
-            assert isinstance(answer, StudyAnswer)
-            if not done:  # a worker that has sent its result ends by itself
-                self._deliver((number, answer))
-            done = not isinstance(answer, StudyProgress)
-
-        self._worker = Worker("tolerances", serve_study, deliver, process=self._process)
-        self._worker.put(path)
+        self.begin(path)
 
     def wait(self, wanted: bool) -> None:
         """Have the study wait at its next step, or go on."""
-        if self._worker is not None:
-            self._worker.put(Wait(wanted))
-
-    def end(self) -> None:
-        """End the worker: the study is done, or not wanted any more."""
-        if self._worker is not None:
-            worker, self._worker = self._worker, None
-            worker.close()
+        self.put(Wait(wanted))

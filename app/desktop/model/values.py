@@ -45,13 +45,14 @@ class PlanTexts:
 
     def plan(self) -> Plan:
         """The plan without its rows."""
-        return Plan(*self._files(), ())
+        return Plan(*self.files(), ())
 
     def plan_with_rows(self) -> Plan:
         """The plan, made anew. Raises UserError."""
-        return make_plan(*self._files())
+        return make_plan(*self.files())
 
-    def _files(self) -> tuple[ScheduleDescription, RigDescription]:
+    def files(self) -> tuple[ScheduleDescription, RigDescription]:
+        """Schedule and rig, read anew."""
         return replace(parse_schedule(*self.schedule), certificate=self.certificate), parse_rig(*self.rig)
 
 

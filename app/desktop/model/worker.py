@@ -1,6 +1,7 @@
 """A worker: a process beside the window's, for what takes computing time. It starts with its first request. No Qt.
 
 Requests and answers go through a pipe. Threads of the window's process feed and read it, so that nothing here ever waits.
+`OneAtATime` is for work with one result, such as a study.
 """
 
 import contextlib
@@ -12,11 +13,15 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, Generic, TypeVar
+
+from goniotwin.app.errors import UserError
 
 Serve = Callable[["Connection[Any, Any]"], None]
 """The work: takes requests from a pipe and answers there, until the request None or the pipe's end (EOFError, OSError)."""
 Deliver = Callable[[object], None]
+Answer = TypeVar("Answer")
+ENDED = "the computation was ended by another program, or memory was short; begin it again"
 NICE = 10
 """Lower priority of a worker: the station, which may run on the same computer, comes first."""
 
@@ -112,3 +117,68 @@ def _work(serve: Serve, connection: "Connection[Any, Any]") -> None:
 def _work_here(serve: Serve, connection: "Connection[Any, Any]") -> None:
     with contextlib.suppress(EOFError, OSError), connection:
         serve(connection)
+
+
+class OneAtATime(Generic[Answer]):
+    """Work with one result, each piece in a worker of its own that may be ended at any time.
+
+    `deliver` is called in a thread with the number of the piece and an answer. After one that is no `progress` there is no
+    other; it is `failed` with the reason of a worker that was ended from outside.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        serve: Serve,
+        deliver: Callable[[tuple[int, Answer]], None],
+        progress: type[object],
+        failed: Callable[[str], Answer],
+        *,
+        process: bool = True,
+    ) -> None:
+        self._name, self._serve, self._deliver = name, serve, deliver
+        self._progress, self._failed, self._in_process = progress, failed, process
+        self._worker: Worker | None = None
+        self.number = 0
+        """The number of the piece that is computed, or was last."""
+
+    def begin(self, request: object) -> None:
+        """Begin a piece of work, after the `end` of the one before; at once."""
+        self.number += 1
+        number, done = self.number, False
+
+        def deliver(delivered: object) -> None:
+            nonlocal done
+            answer: Any = self._failed(ENDED) if isinstance(delivered, WorkerEnded) else delivered
+            if not done:  # a worker that has sent its result ends by itself
+                self._deliver((number, answer))
+            done = not isinstance(answer, self._progress)
+
+        self._worker = Worker(self._name, self._serve, deliver, process=self._in_process)
+        self._worker.put(request)
+
+    def put(self, request: object) -> None:
+        """Pass a request on to the work in progress."""
+        if self._worker is not None:
+            self._worker.put(request)
+
+    def end(self) -> None:
+        """End the worker: the work is done, or not wanted any more."""
+        if self._worker is not None:
+            worker, self._worker = self._worker, None
+            worker.close()
+
+
+def send_result(connection: "Connection[Any, Any]", compute: Callable[[], object], failed: Callable[[str], object]) -> None:
+    """Send what `compute` returns, or the reason why it has failed. Raises EOFError where it does: nobody wants it any more."""
+    try:
+        answer = compute()
+    except EOFError:
+        raise
+    except UserError as error:
+        answer = failed(str(error))
+    except MemoryError:
+        answer = failed("there is too little memory for it")
+    except Exception as error:  # noqa: BLE001  (of any library: reported, and the window goes on)
+        answer = failed(f"{type(error).__name__}: {error}")
+    connection.send(answer)

@@ -23,7 +23,8 @@ if TYPE_CHECKING:  # the window shows itself before the engine is loaded
     from goniotwin.app.desktop.model.permissions import Permissions
     from goniotwin.app.desktop.model.time_left import Wait
 
-START_KEY, PAUSE_KEY, FINISH_KEY = "Ctrl+R", "Ctrl+P", "Ctrl+Shift+F"
+START_KEY, PAUSE_KEY, FINISH_KEY, REHEARSE_KEY = "Ctrl+R", "Ctrl+P", "Ctrl+Shift+F", "Ctrl+Shift+R"
+REHEARSE, CANCEL = "Rehearse", "Cancel\nrehearsal"
 PAUSE, RESUME, FINISH = "&Pause\nafter row", "Res&ume", "Finish\ncu&t"
 """Texts of the button that pauses and resumes, and of that which ends the run after the cut."""
 SPEEDS = (1.0, 10.0, 20.0, 60.0)
@@ -38,6 +39,8 @@ class RunPanel(QWidget):
     """The controls of a run. The window connects their signals. `lines` is the place for lines of text below the progress."""
 
     start = Signal()
+    rehearse = Signal()
+    """Rehearse the schedule, or cancel the rehearsal in progress."""
     pause = Signal()
     resume = Signal()
     stop = Signal()
@@ -53,9 +56,10 @@ class RunPanel(QWidget):
         self._left_s: float | None = None
         self._wait: Wait | None = None
         self._clock_texts = ""
-        self._unfinished = ""
+        self._unfinished, self._rehearsal = "", ""
         self._permissions: Permissions | None = None
         self.start_button = _button("&Start", "Start the run")
+        self.rehearse_button = _button(REHEARSE, "Rehearse the schedule")
         self.pause_button = _button(PAUSE, "Pause the run")
         self.finish_button = _button(FINISH, "Finish the cut and end the run")
         self.stop_button = _button("STOP", "Stop all axes and the run")
@@ -84,6 +88,7 @@ class RunPanel(QWidget):
         self._compact = self._low = True  # the window grows from its least size
         self._lay_out()
         self.start_button.clicked.connect(self.start)
+        self.rehearse_button.clicked.connect(self.rehearse)
         self.stop_button.clicked.connect(self.stop)
         self.pause_button.clicked.connect(self._pause_or_resume)
         self.finish_button.clicked.connect(self.finish_cut)
@@ -112,6 +117,12 @@ class RunPanel(QWidget):
         refused = f"Disabled: {permissions.no_start}" if permissions.no_start else ""
         self.start_button.setToolTip(refused or f"Measure the schedule, into a new journal ({START_KEY})")
         self._permissions = permissions
+        self.rehearse_button.setEnabled(not permissions.no_rehearsal)
+        self.rehearse_button.setToolTip(
+            f"Disabled: {permissions.no_rehearsal}"
+            if permissions.no_rehearsal
+            else f"Run the schedule on the digital twin, beside the window; no device moves ({REHEARSE_KEY})"
+        )
         self._show_pause()
         self.finish_button.setEnabled(permissions.finish_cut)
         self.finish_button.setToolTip(
@@ -121,6 +132,13 @@ class RunPanel(QWidget):
         self.stop_button.setEnabled(permissions.stop)
         self.speeds.setEnabled(not permissions.watching)
         self.speeds.setToolTip(permissions.watching or "Simulation speed")
+
+    def set_rehearsal(self, progress: str) -> None:
+        """Show the progress of a rehearsal in place of the run's; empty where there is none."""
+        self._rehearsal = progress
+        self.rehearse_button.setText((CANCEL if not self._low else "Cancel") if progress else REHEARSE)
+        self.rehearse_button.setAccessibleName("Cancel the rehearsal" if progress else "Rehearse the schedule")
+        self._show_progress()
 
     def set_unfinished(self, text: str) -> None:
         """Offer to resume an unfinished campaign of this schedule; `text` names it, empty where there is none."""
@@ -153,12 +171,16 @@ class RunPanel(QWidget):
 
     def set_progress(self, done: int, of: int, left_s: float | None) -> None:
         """Show the rows done and planned, and the instrument time of the rest, s."""
+        self._rows = f"{done} of {of} rows, {100 * done // of} %" if of else "no rows"
         self.progress.setRange(0, max(of, 1))
         self.progress.setValue(done)
-        self.progress.setFormat(f"{done} of {of} rows, {100 * done // of} %" if of else "no rows")
+        self._show_progress()
         self._left_s = left_s
         self._wait, self._clock_texts = None, ""
         self._show_left()
+
+    def _show_progress(self) -> None:
+        self.progress.setFormat(self._rehearsal or self._rows)
 
     def set_wait(self, wait: "Wait", clock_texts: str) -> None:
         """Show the time to wait, as learnt from the pace so far; `clock_texts`: the calendar times of end and next mounting."""
@@ -184,9 +206,10 @@ class RunPanel(QWidget):
         self._show_left()
 
     def set_compact(self, compact: bool) -> None:
-        """Take less width: the simulation speed without its name."""
+        """Take less width: the simulation speed without its name, and no Rehearse."""
         if compact != self._compact:
             self._compact = compact
+            self.rehearse_button.setHidden(compact)  # the menu Run has it
             self._show_speeds()
 
     def set_low(self, low: bool) -> None:
@@ -226,7 +249,8 @@ class RunPanel(QWidget):
         texts.addLayout(bar)
         texts.addLayout(self.lines, 1)
         buttons = QHBoxLayout()
-        for each in (self.start_button, self.pause_button, self.finish_button):
+        self.rehearse_button.setHidden(self._compact)
+        for each in (self.start_button, self.rehearse_button, self.pause_button, self.finish_button):
             each.setMinimumWidth(66)
             each.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
             buttons.addWidget(each)

@@ -21,6 +21,7 @@ from goniotwin.app.desktop.events.question import REPLACE
 from goniotwin.app.desktop.model import tolerances
 from goniotwin.app.desktop.model.messages import Attached, NotAttached
 from goniotwin.app.desktop.model.tolerances import Studies, StudyAnswer, StudyFailed, StudyOutcome, StudyProgress, read_content
+from goniotwin.app.desktop.model.worker import ENDED
 from goniotwin.app.desktop.theme import LIGHT
 from goniotwin.app.desktop.tolerances.distribution_view import NOTHING, ROOM_OF_VALUE
 from goniotwin.app.desktop.tolerances.screen import CANCELLED, FOLDER, IN_RUN, READY, WAITING, TolerancesScreen
@@ -308,7 +309,7 @@ def test_a_worker_that_is_ended_by_another_program_is_a_study_without_a_result(m
     monkeypatch.setattr(tolerances, "serve_study", lambda connection: connection.recv())
     studies = Studies(answers.put, process=False)
     studies.compute(FOLDER / "quick.toml")
-    assert answers.get(timeout=LONGEST_S) == (1, StudyFailed(tolerances.ENDED))
+    assert answers.get(timeout=LONGEST_S) == (1, StudyFailed(ENDED))
     studies.end()
     assert answers.empty()
 
