@@ -18,6 +18,7 @@ from goniotwin.app.campaign.reduction.points import FLAGS, Tally
 from goniotwin.app.campaign.rehearsal.forecast import Forecast, SpreadSummary
 from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
 from goniotwin.app.campaign.row import NO_SAMPLE, Row
+from goniotwin.app.campaign.schedule.editing import literal
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.campaign.studies.decades import percent
@@ -47,7 +48,7 @@ def rehearsal_warnings(plan: Plan, statistics: RowStatistics) -> Iterator[str]:
         gains = plan.rig.file.photodiodes.gains_v_per_a
         used = plan.schedule.file.gains_v_per_a
         lower = [each for each in gains if used != "automatic" and each < min(used)]
-        remedy = f"Add {lower[-1]:g} V/A to gains_v_per_a" if lower else "The rig has no lower gain: attenuate the light"
+        remedy = f"Add {literal(lower[-1])} V/A to gains_v_per_a" if lower else "The rig has no lower gain: attenuate the light"
         yield f"{statistics.saturated} values are saturated at every gain of the schedule. {remedy}"
     for flag, rows in sorted(statistics.flagged.items()):
         remedy = FLAGS[flag].remedy if flag in FLAGS else ""
@@ -151,7 +152,7 @@ def _low_gains(plan: Plan, statistics: RowStatistics) -> Iterator[str]:
         if better:
             yield (
                 f"signal of {name} too low at {highest:g} V/A: its brightest photodiode uses {steps[highest]:.0f} of "
-                f"{statistics.span} steps of the converter. Add {better[-1]:g} V/A to gains_v_per_a"
+                f"{statistics.span} steps of the converter. Add {literal(better[-1])} V/A to gains_v_per_a"
             )
 
 
@@ -159,7 +160,7 @@ def noise_remedy(file: ScheduleFile, rig: RigFile) -> str:
     """What to change in a schedule against noise: a higher gain where the rig has one, else more readings."""
     highest = max(rig.photodiodes.gains_v_per_a)
     if file.gains_v_per_a != "automatic" and highest > max(file.gains_v_per_a):
-        return f"Add {highest:g} V/A to gains_v_per_a"
+        return f"Add {literal(highest)} V/A to gains_v_per_a"
     if (table := file.averaging) is not None:
         below = f"relative_uncertainty below {table.relative_uncertainty:g}"
         return f"In [averaging] set longest_s above {table.longest_s:g}, or {below}"

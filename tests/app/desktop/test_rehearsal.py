@@ -25,7 +25,7 @@ PROCESS_S = 120.0
 """Limit for a process that starts, and on a fresh machine compiles."""
 FAINT = ("[1e8, 1e10]", "[1e8]")
 """A legal schedule: it runs to its end without a fault, with 20 of 30 values below the detection limit."""
-BELOW = "gaussian-5: 20 of 30 directions are below the detection limit at 550 nm, sigma 30 deg. Add 1e+11 V/A to gains_v_per_a"
+BELOW = "gaussian-5: 20 of 30 directions are below the detection limit at 550 nm, sigma 30 deg. Add 1e11 V/A to gains_v_per_a"
 
 
 @pytest.fixture

@@ -281,7 +281,7 @@ def test_a_setting_that_is_mostly_below_detection_is_named_with_what_to_change(
     assert below.setting == "550 nm, sigma 30 deg"
     assert 0.5 * below.values < below.below == spread.below_detection
     text = f"gaussian-5: {below.below} of {below.values} directions are below the detection limit at 550 nm, sigma 30 deg. Add"
-    assert [each.partition(" 1e+11 V/A to gains_v_per_a")[0] for each in rehearsal.result.missed] == [text]
+    assert [each.partition(" 1e11 V/A to gains_v_per_a")[0] for each in rehearsal.result.missed] == [text]
     assert rehearsal.result.missed[0] in rehearsal.result.warnings
     assert f", {below.below} below the detection limit, " in report_text(rehearsal)
     wide = run_rehearsal(
@@ -304,7 +304,7 @@ def test_a_duration_beyond_the_target_and_a_sample_without_values_are_missed(wri
 @pytest.mark.parametrize(
     ("change", "remedy"),
     [
-        (("[1e8, 1e10]", "[1e8]"), "Add 1e+11 V/A to gains_v_per_a"),
+        (("[1e8, 1e10]", "[1e8]"), "Add 1e11 V/A to gains_v_per_a"),
         (("[1e8, 1e10]", "[1e11]"), "Set readings above 2, or add [averaging] for faint light"),
         (
             ("[1e8, 1e10]", '"automatic"\naveraging = { relative_uncertainty = 0.01 }'),
