@@ -1,5 +1,6 @@
 """The schedule screen: file and form at the left, its text in the middle, its directions at the right."""
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
@@ -43,7 +44,7 @@ if TYPE_CHECKING:  # the window shows itself before planner and pyqtgraph are lo
 UNSAVED = "the schedule has changes that are not saved: save it first (Ctrl+S)"
 READ_AGAIN = "the schedule that was saved is being read"
 SCROLLED = "Form that scrolls"
-NEW_NAME = "new.toml"
+NEW_NAME, PARAGRAPH = "new.toml", "\u2029"
 EXAMPLES = examples.FOLDER
 """What came with the program is not written to."""
 PAUSE_MS = 400
@@ -140,7 +141,7 @@ class SetupScreen(Screen):
         self._rig: RigOpened | None = None
         self._samples: tuple[str, ...] = ()
         self._path: Path | None = None
-        self._saved, self._planned = "", ""
+        self._saved, self._planned, self._line_end = "", "", "\n"
         self._text = QPlainTextEdit()
         self._text.setAccessibleName("Text of the schedule file")
         self._text.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
@@ -243,8 +244,8 @@ class SetupScreen(Screen):
 
     @property
     def text(self) -> str:
-        """The text of the schedule."""
-        return self._text.toPlainText()
+        """The text of the schedule, with one kind of line end; plain text would lose blanks that do not break."""
+        return self._text.document().toRawText().replace(PARAGRAPH, "\n")
 
     @property
     def unsaved(self) -> bool:
@@ -261,10 +262,12 @@ class SetupScreen(Screen):
         """Show the schedule that was opened, unless changes of the one that is shown would be lost."""
         if plan is None or (self.unsaved and plan.schedule.text != self.text):
             return
-        self._path, self._saved = Path(plan.schedule.name), plan.schedule.text
-        self._planned = self._saved
-        if self.text != self._saved:
-            self._text.setPlainText(self._saved)
+        self._path, self._line_end = Path(plan.schedule.name), "\n"
+        with contextlib.suppress(OSError):  # a text has one kind of line end, whatever its file has
+            self._line_end = "\r\n" if b"\r\n" in self._path.read_bytes() else "\n"
+        if self.text != plan.schedule.text:
+            self._text.setPlainText(plan.schedule.text)
+        self._saved = self._planned = self.text
         self._take_text()
 
     @Slot()
@@ -371,7 +374,7 @@ class SetupScreen(Screen):
             return
         text = self.text
         try:
-            write_file(path, text.encode())
+            write_file(path, text.replace("\n", self._line_end).encode())
         except (UserError, OSError) as error:
             self.reported.emit(str(error), True)
             return

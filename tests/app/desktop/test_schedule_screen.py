@@ -172,6 +172,21 @@ def test_a_copy_asks_before_it_replaces_and_an_example_is_not_written_to(
     question().chosen.emit("Discard")
 
 
+def test_line_ends_and_blanks_of_a_file_stay(qtbot: QtBot, window: MainWindow, tmp_path: Path) -> None:
+    screen = screen_of(window)
+    path = tmp_path / "windows.toml"
+    text = "# two\N{NO-BREAK SPACE}words\r\n" + screen.text.replace("\n", "\r\n")
+    path.write_bytes(text.encode())
+    window._open_schedule(path)
+    qtbot.waitUntil(lambda: screen._path == path, timeout=READY_MS)
+    assert not screen.unsaved
+    ready(qtbot, window)
+    enter(screen, "readings", "3")
+    screen.save()
+    assert path.read_bytes() == text.replace("readings = 2", "readings = 3").encode()
+    ready(qtbot, window)
+
+
 def test_the_line_of_an_error() -> None:
     text = 'name = "a"\n\n[drift]\nevery_s = -1\n'
     assert line_of("a.toml: drift.every_s: should be above 0", text, "a.toml") == 4
