@@ -136,6 +136,11 @@ class Presenter(QObject):
         return self.state in BUSY
 
     @property
+    def done(self) -> bool:
+        """Whether the last run has measured all rows."""
+        return self.state is State.DONE
+
+    @property
     def permissions(self) -> Permissions:
         """Which controls are enabled now."""
         found = permissions(

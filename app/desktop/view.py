@@ -84,7 +84,7 @@ class MainView(QWidget):
         self.screen_of(RunScreen).set_events(self.log.model)
         self.navigation.chosen.connect(self.show_screen)
         campaigns, results = self.screen_of(CampaignsScreen), self.screen_of(ResultsScreen)
-        campaigns.results_wanted.connect(self._show_results)
+        campaigns.results_wanted.connect(self.show_results)
         results.export_wanted.connect(campaigns.export)
         results.report_wanted.connect(campaigns.report)
         self.log.serious_changed.connect(self._mark_events)
@@ -124,7 +124,8 @@ class MainView(QWidget):
             each.complete()
 
     @Slot(object)
-    def _show_results(self, journal: Path) -> None:
+    def show_results(self, journal: Path) -> None:
+        """Show a journal on the screen Results."""
         self.show_screen(SCREENS.index(ResultsScreen))
         self.screen_of(ResultsScreen).open_file(journal)
 

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from goniotwin.app.desktop.model.connection import Connection, Stations
     from goniotwin.app.desktop.model.permissions import Permissions
     from goniotwin.app.desktop.presenter import Presenter
+    from goniotwin.app.desktop.run.conclusion import ConclusionControl
     from goniotwin.app.desktop.run.rehearsal import RehearsalControl
     from goniotwin.app.station.messages import QuestionAsked
 
@@ -50,6 +51,7 @@ LATER = (
     f"{DESKTOP}.model.connection",
     f"{DESKTOP}.run.live_plot",
     f"{DESKTOP}.run.rehearsal",
+    f"{DESKTOP}.run.conclusion",
     f"{DESKTOP}.results.panels",
     "qtawesome",
 )
@@ -62,6 +64,7 @@ class MainWindow(QMainWindow):
     presenter: "Presenter"
     connection: "Connection"
     rehearsal: "RehearsalControl"
+    conclusion: "ConclusionControl"
     imported = Signal()
     campaigns_listed = Signal(object)
 
@@ -84,6 +87,9 @@ class MainWindow(QMainWindow):
         self._complete = False
         self._listed: CampaignsListed | None = None
         self._unfinished: Campaign | None = None
+        self._interrupted: Campaign | None = None
+        self._offers = True
+        """Until the first run of this window, an interrupted campaign is offered in the notice."""
         self._permissions: Permissions | None = None
         self._plan: Plan | None = None
         self._closed = False
@@ -135,6 +141,7 @@ class MainWindow(QMainWindow):
             from goniotwin.app.desktop.model.campaigns import CampaignList
             from goniotwin.app.desktop.model.connection import Connection
             from goniotwin.app.desktop.presenter import Presenter
+            from goniotwin.app.desktop.run.conclusion import ConclusionControl
             from goniotwin.app.desktop.run.rehearsal import RehearsalControl
 
             self.view.complete()
@@ -145,6 +152,7 @@ class MainWindow(QMainWindow):
         rig, schedule, speed = self._first
         self.presenter = Presenter(self.view, rig, self, processes=self._stations is None)
         self.rehearsal = RehearsalControl(self, processes=self._stations is None)
+        self.conclusion = ConclusionControl(self, processes=self._stations is None)
         self._connect()
         self.connection = Connection(self.presenter.message_received.emit, speed, self._stations, f"window {os.getpid()}")
         self._campaign_list = CampaignList(self.campaigns_listed.emit)
@@ -220,6 +228,10 @@ class MainWindow(QMainWindow):
         campaigns.resume_wanted.connect(self._resume_journal)
         campaigns.folder_wanted.connect(self._show_folder)
         campaigns.reported.connect(self._show_report)
+        self.conclusion.results_wanted.connect(self.view.show_results)
+        self.conclusion.report_wanted.connect(campaigns.report)
+        self.conclusion.next_wanted.connect(self._take_next_sample)
+        self.conclusion.reported.connect(self._show_report)
 
     def _set_enabled(self, enabled: bool) -> None:
         """Enable what opens files and changes the set-up; the controls of the run have permissions of their own."""
@@ -278,6 +290,14 @@ class MainWindow(QMainWindow):
             self.view.run.set_unfinished(f"{self._unfinished.path.name}: {each.rows} of {each.planned} rows are measured")
         self.menus.set_pause(self.view.run.resumes)
         self.menus.refresh()
+        self._offers = self._offers and not self.presenter.busy
+        offered = self._unfinished or (None if listed is None else listed.interrupted)
+        refused, notice = self.presenter.permissions.refusals["continue"], self.view.notice
+        if self._offers and offered is not None and not refused and notice.action in ("", "continue"):
+            self._interrupted, each = offered, offered.summary
+            notice.show_notice(f"Interrupted: {each.name}, {each.rows} of {each.planned} rows. Resume?", "continue")
+        elif notice.action == "continue":
+            notice.clear()
 
     @Slot()
     def _resume_unfinished(self) -> None:
@@ -308,6 +328,7 @@ class MainWindow(QMainWindow):
 
     def _start(self) -> None:
         if self.presenter.plan is not None:
+            self.conclusion.end()
             self.close_question.keep_open()
             self.view.show_screen(self.view.screens.index(self.view.screen_of(RunScreen)))
             self.presenter.show_starting()
@@ -359,6 +380,8 @@ class MainWindow(QMainWindow):
             self.connection.operate()
         elif action == "connect":
             self._connect_again()
+        elif action == "continue" and self._interrupted is not None:
+            self._resume_journal(self._interrupted.path)
         elif action == "resume" and self.presenter.journal is not None:
             self.presenter.show_opening(self.presenter.rig_path)
             self.presenter.show_starting()
@@ -367,8 +390,16 @@ class MainWindow(QMainWindow):
     @Slot()
     def _after_run(self) -> None:
         self._list_campaigns()
+        if self.presenter.done and self.presenter.journal is not None and self.presenter.operates:
+            self.conclusion.begin(self.presenter.journal)
         self.question.dismiss()
         self.close_question.proceed()
+
+    @Slot(str)
+    def _take_next_sample(self, schedule: str) -> None:
+        setup = self.view.screen_of(SetupScreen)
+        self.view.show_screen(self.view.screens.index(setup))
+        setup.begin_copy(schedule)
 
     @Slot(str)
     def _notify(self, _what: str) -> None:
@@ -497,6 +528,7 @@ class MainWindow(QMainWindow):
             if self._complete:
                 self.presenter.close()
                 self.rehearsal.end("")
+                self.conclusion.end()
                 self.connection.close()
                 self._campaign_list.close()
             for screen in self.view.screens:

@@ -45,6 +45,11 @@ class CampaignsListed:
     campaigns: tuple[Campaign, ...]
     errors: tuple[str, ...]
 
+    @property
+    def interrupted(self) -> Campaign | None:
+        """The latest campaign, if it can be resumed: an older one was left on purpose."""
+        return self.campaigns[0] if self.campaigns and self.campaigns[0].unfinished else None
+
     def unfinished(self, plan: Plan) -> Campaign | None:
         """The latest unfinished campaign of the schedule of a plan, by its text, on its rig, whose ports may be others."""
         same = (each for each in self.campaigns if each.unfinished and each.schedule == plan.schedule.text)

@@ -366,6 +366,18 @@ class SetupScreen(Screen):
         first = (Path.cwd() if inside or self._path is None else self._path.parent) / name
         ask_file(self.window(), "Save the schedule as", first, "Schedule files (*.toml)", self.save)
 
+    def begin_copy(self, text: str) -> None:
+        """Take a text as that of a new schedule, for the next sample."""
+
+        def copy() -> None:
+            self._path, self._saved = None, ""
+            self._text.setPlainText(text)
+            self._take_text()
+            self.form.fields["samples"].setFocus()
+            self.reported.emit("A copy of the schedule. Enter the next sample, then save it.", False)
+
+        self.leave(copy)
+
     def save(self, path: Path | None = None) -> None:
         """Write the text to its file, or to another one, which is then opened. Without a file one is asked for."""
         path = path or self._path
