@@ -81,13 +81,23 @@ def test_an_operators_day(open_window: Callable[..., WindowByKeys], write_rig: W
     window.wait_for("Ready to start.")
     assert schedule.read_text(encoding="utf-8").endswith('operator = "Ada Lovelace"\n')
 
+    # Rehearse: the target is missed beside the lobe, and Start asks for a yes.
+    window.press("Ctrl+Shift+R")
+    window.wait_for("Rehearsed gaussian-5, isotropic: gaussian-5 misses [target]")
+    window.press("Escape")
+
     # Start, and mount.
     window.press("Alt+S")
+    window.wait_for("[Start anyway]")
+    window.choose("Start anyway")
     answer(window, "Mount etalon", "Wait")
     window.wait_for("The run waits for an answer: Mount etalon")
     window.press("Alt+A")
     answer(window, "Mount etalon", "Mounted")
-    answer(window, "Mount gaussian-5", "Mounted")
+    window.wait_for("Mount gaussian-5", "[Mounted]")
+    window.tab_to("Sample: thickness, mm")
+    window.type_text("1.5")
+    window.press("Alt+M")
     (journal,) = folder.glob("*.journal")
     done = window.wait_for_rows(campaign_summary(journal).rows + 3)
 
@@ -113,20 +123,19 @@ def test_an_operators_day(open_window: Callable[..., WindowByKeys], write_rig: W
     kept = campaign_summary(journal)
     assert kept.rows >= done
     window = open_window(*arguments, "--schedule", schedule)
-    window.wait_for("Resume")
+    window.wait_for(f"Interrupted: gaussian-5, isotropic, {kept.rows} of {kept.planned} rows. Resume?")
     window.press(RIG, "Alt+E", "Alt+U")
     answer(window, "Mount gaussian-5", "Mounted")
-    window.wait_for("Saved in")
+    window.wait_for("Saved in", "values are above the detection limit", "[Results]", "[Report…]", "[Next sample…]")
     assert campaign_summary(journal).state == "done"
 
     # The result, over what the twin predicts.
-    window.press(CAMPAIGNS)
-    window.wait_for(f"| {journal.name}")
-    window.choose("Show the results of the chosen campaign")
-    window.wait_for("journal, ", " checks hold")
+    window.choose("Results")
+    window.wait_for("journal, ", "Checks: ")
     window.tab_to("What the values are compared with")
     window.press("Down", "Down")
     window.wait_for(COMPARISONS[2], "second: prediction of the twin", "chi-square")
     values = goniotwin.open(journal)
+    assert values.metadata.sample.thickness_mm == 1.5
     assert values.good.sum() > 0.8 * values.size
     assert window.presses < 400
