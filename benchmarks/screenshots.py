@@ -352,7 +352,7 @@ class Pictures:
 def of_one_scale(folder: Path, percent: int, schemes: list[Scheme], names: dict[str, str]) -> list[str]:
     """Take the pictures of one scale factor in this process; return the faults."""
     application = QApplication(["goniotwin"])
-    with TemporaryDirectory() as journals:
+    with TemporaryDirectory(prefix="campaigns-") as journals:
         pictures = Pictures(folder, percent, schemes, Path(journals), names)
         pictures.take()
         application.processEvents()

@@ -84,7 +84,7 @@ def test_an_operators_day(open_window: Callable[..., WindowByKeys], write_rig: W
     # Rehearse: the target is missed beside the lobe, and Start asks for a yes.
     window.press("Ctrl+Shift+R")
     window.wait_for("Rehearsed gaussian-5, isotropic: gaussian-5 misses [target]")
-    window.press("Escape")
+    window.choose("Close ")
 
     # Start, and mount.
     window.press("Alt+S")

@@ -35,7 +35,7 @@ def test_a_run_ends_with_a_summary_that_leads_to_its_results(qtbot: QtBot, windo
     lines = conclude(journal).lines
     assert lines[0].startswith("gaussian-5: ")
     assert " of 36 values are above the detection limit. The largest component is " in lines[0]
-    assert "directions are below the detection limit at 550 nm, sigma 30 deg. Add 1e+11 V/A to gains_v_per_a" in lines[-1]
+    assert "directions are below the detection limit at 550 nm, sigma 30 deg. Add 1e11 V/A to gains_v_per_a" in lines[-1]
     assert all(each in box.text for each in lines)
     click(box.buttons[RESULTS])
     assert window.conclusion.box is None
