@@ -22,9 +22,9 @@ def clock() -> VirtualClock:
 
 @pytest.fixture
 def client(opened: RigOpener, clock: VirtualClock) -> TwinModbusClient:
-    opened(("noise = true", "noise = false"), clock=clock)
+    rig = opened(("noise = true", "noise = false"), clock=clock)
     clock.sleep_until(60.0)
-    return TwinModbusClient("twin://virtual/adc-0")
+    return TwinModbusClient(f"twin://{rig._name}/adc-0")  # another test's rig of that name may still be open
 
 
 def test_the_module_identifies_itself(client: TwinModbusClient) -> None:
