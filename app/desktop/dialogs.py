@@ -57,6 +57,8 @@ class FileDialog(QFileDialog):
             self.setFileMode(QFileDialog.FileMode.Directory)
             self.setOption(QFileDialog.Option.ShowDirsOnly)
         self.fileSelected.connect(lambda name: chosen(Path(name)))
+        for field in self.findChildren(QLineEdit, "fileNameEdit"):
+            field.setAccessibleName("File name")
         self.show()
         self.resize(self.width(), min(self.height(), self.screen().availableGeometry().height() - TITLE_BAR))
 

@@ -76,6 +76,7 @@ def test_an_operators_day(open_window: Callable[..., WindowByKeys], write_rig: W
         window.press("Return")
     window.press("Ctrl+S")
     window.wait_for("Save the schedule as")
+    until(lambda: window.focused == "File name")
     window.type_text(str(schedule))
     window.press("Return")
     window.wait_for("Ready to start.")
