@@ -125,7 +125,7 @@ def test_an_operators_day(open_window: Callable[..., WindowByKeys], write_rig: W
     assert kept.rows >= done
     window = open_window(*arguments, "--schedule", schedule)
     window.wait_for(f"Interrupted: gaussian-5, isotropic, {kept.rows} of {kept.planned} rows. Resume?")
-    window.press(RIG, "Alt+E", "Alt+U")
+    window.press(RIG, "Alt+E", "Ctrl+P")
     answer(window, "Mount gaussian-5", "Mounted")
     window.wait_for("Saved in", "values are above the detection limit", "[Results]", "[Report…]", "[Next sample…]")
     assert campaign_summary(journal).state == "done"
