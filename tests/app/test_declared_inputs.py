@@ -216,4 +216,4 @@ def test_the_document_explains_each_line_of_a_budget(journal: Path) -> None:
     words = {word for each in lines for word in re.sub(r"[\[@].*", "", each.name).split("*")}
     of_keys = {name for each in inputs() for name in each.targets}
     assert {"gain_ratio", "etalon_reading"} <= words
-    assert [word for word in sorted(words - of_keys) if not re.search(rf"`{word}[`*\[@]", TEXT_OF_MODEL)] == []
+    assert [word for word in sorted(words - of_keys) if not re.search(rf"`{word}[`*\[@]", TEXT_OF_MODEL + TEXT)] == []
