@@ -95,9 +95,9 @@ def test_there_is_no_client_for_nothing(opened: RigOpener) -> None:
 @pytest.fixture
 def line(opened: RigOpener, clock: VirtualClock) -> TwinRtuClient:
     """The converters of the example rig, were they ADAM-4117 on one line."""
-    opened(*SERIAL_MODULES, clock=clock)
+    rig = opened(*SERIAL_MODULES, clock=clock)
     clock.sleep_until(60.0)
-    return TwinRtuClient("twin://virtual/adc-0")
+    return TwinRtuClient(f"twin://{rig._name}/adc-0")
 
 
 def test_the_units_of_a_line_answer_each_for_itself(line: TwinRtuClient) -> None:

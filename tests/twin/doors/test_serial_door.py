@@ -18,9 +18,9 @@ def clock() -> VirtualClock:
 
 @pytest.fixture
 def port(opened: RigOpener, clock: VirtualClock) -> serial.Serial:
-    opened(clock=clock)
+    rig = opened(clock=clock)
     clock.sleep_until(60.0)
-    return serial.serial_for_url("twin://virtual/axes", baudrate=115200, timeout=0.06)
+    return serial.serial_for_url(f"twin://{rig._name}/axes", baudrate=115200, timeout=0.06)
 
 
 def test_an_exchange_takes_the_time_of_its_bytes(port: serial.Serial, clock: VirtualClock) -> None:
@@ -48,8 +48,8 @@ def test_a_silent_device_costs_the_timeout(port: serial.Serial, clock: VirtualCl
 
 
 def test_the_wrong_baud_rate_is_not_understood(opened: RigOpener, clock: VirtualClock) -> None:
-    opened(clock=clock)
-    port = serial.serial_for_url("twin://virtual/axes", baudrate=9600, timeout=0.5)
+    rig = opened(clock=clock)
+    port = serial.serial_for_url(f"twin://{rig._name}/axes", baudrate=9600, timeout=0.5)
     port.write(FRAME)
     assert port.read(9) == b""
 
