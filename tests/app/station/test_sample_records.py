@@ -157,6 +157,7 @@ def test_a_resume_asks_again_and_each_key_has_what_was_stated_last(
     answering(other, lambda asked: {"note": "second"} if asked.question.sample else None, [])
     other.station.resume_journal(now.journal)
     assert other.work().state is State.DONE
+    other.station.close_rig()
     found = goniotwin.open(now.journal).metadata.sample
     assert (found.note, found.mounted_by, found.identifier) == (
         "second",
