@@ -12,7 +12,7 @@ from goniotwin.app.campaign.rehearsal.warnings import largest_text, missed_warni
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.verification import NOTHING, verify_journal
 from goniotwin.app.desktop.model.results import Checked
-from goniotwin.app.desktop.model.worker import OneAtATime, send_result
+from goniotwin.app.desktop.model.worker import OneAtATime, answer_of
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Conclusions(OneAtATime[Conclusion | NoConclusion]):
 def serve_conclusion(connection: "Connection[Any, Any]") -> None:
     """Conclude one journal, whose path is the first request."""
     path: Path = connection.recv()
-    send_result(connection, lambda: conclude(path), NoConclusion)
+    connection.send(answer_of(lambda: conclude(path), NoConclusion))
 
 
 def conclude(path: Path) -> Conclusion:

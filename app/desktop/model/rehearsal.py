@@ -15,7 +15,7 @@ from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.studies.decades import percent
 from goniotwin.app.campaign.wording import duration_text, rounded_duration_text
 from goniotwin.app.desktop.model.values import PlanTexts
-from goniotwin.app.desktop.model.worker import OneAtATime, send_result
+from goniotwin.app.desktop.model.worker import NotWanted, OneAtATime, answer_of
 from goniotwin.protocols.clock import RealClock
 
 PACE_PERCENT = 3
@@ -104,7 +104,7 @@ def serve_rehearsal(connection: "Connection[Any, Any]") -> None:
             last = now
             connection.send(RehearsalProgress(event.done, event.total, now - begun))
             if connection.poll():
-                raise EOFError  # it is not wanted any more
+                raise NotWanted
 
     def compute() -> Rehearsed:
         nonlocal begun
@@ -114,7 +114,7 @@ def serve_rehearsal(connection: "Connection[Any, Any]") -> None:
         begun = clock.now()
         return in_words(rehearse(plan, assumed, out=folder / "rehearsal.journal", listeners=[report]))
 
-    send_result(connection, compute, RehearsalFailed)
+    connection.send(answer_of(compute, RehearsalFailed))
 
 
 def in_words(rehearsal: Rehearsal) -> Rehearsed:

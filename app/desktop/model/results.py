@@ -6,6 +6,7 @@ The worker keeps the dataset, so that the window needs little memory and never w
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from html import escape
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -26,8 +27,7 @@ from goniotwin.app.data.results import Results, Shown
 from goniotwin.app.data.results import View as View
 from goniotwin.app.data.results import first_light as first_light
 from goniotwin.app.data.results import nearest_light as nearest_light
-from goniotwin.app.desktop.model.worker import Worker, WorkerEnded
-from goniotwin.app.errors import UserError
+from goniotwin.app.desktop.model.worker import ENDED, Worker, WorkerEnded, answer_of
 from goniotwin.app.figures.curves import COVERAGE
 from goniotwin.twin.optics import arc_direction, light_direction
 from goniotwin.twin.optics.geometry.coordinates import zenith_and_azimuth
@@ -38,14 +38,13 @@ WAIT_S = 1.0
 """Longest wait for the request to show what has been read first."""
 LARGEST, LEAST_SHARE = 5, 0.005
 """Components of a value that are named, and the least share of its u squared that is."""
-ENDED = "the process that reads it was ended by another program, or memory was short; open it again"
 
 
 @dataclass(frozen=True)
 class Opened:
     """A file that is open, or the first setting of a journal that is being read: in words, and its lights, at least one.
 
-    `whole` is false of the latter. `check`: its verdicts take so little time that nobody has to ask for them.
+    `whole` is false of the latter. `check`: its verdicts take little time, so that they are computed unasked.
     """
 
     number: int
@@ -167,14 +166,7 @@ def serve_results(connection: "Connection[Any, Any]") -> None:
         latest = {type(each[1]): each for each in waiting if each is not None}  # in the order of the first of each type
         number, wanted = latest.pop(next(iter(latest))) if latest else (number, None)
         waiting = list(latest.values())
-        try:
-            answer = work.do(number, wanted)
-        except UserError as error:
-            answer = ResultsFailed(number, str(error))
-        except MemoryError:
-            answer = ResultsFailed(number, "there is too little memory for it")
-        except Exception as error:  # noqa: BLE001  (of any library: reported, and the window goes on)
-            answer = ResultsFailed(number, f"{type(error).__name__}: {error}")
+        answer = answer_of(partial(work.do, number, wanted), partial(ResultsFailed, number))
         if answer is not None:
             connection.send(answer)
         if isinstance(answer, Opened) and not answer.whole:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from goniotwin.app.desktop.model.worker import OneAtATime, send_result
+from goniotwin.app.desktop.model.worker import NotWanted, OneAtATime, answer_of
 from goniotwin.app.formats.file import make_folder, write_file
 from goniotwin.app.json_document import json_text
 from goniotwin.app.simulation.tolerances.study import (
@@ -203,11 +203,11 @@ def serve_study(connection: "Connection[Any, Any]") -> None:
         while waiting or connection.poll():
             request = connection.recv()
             if request is None:
-                raise EOFError  # the study is not wanted any more
+                raise NotWanted
             waiting = request.wanted
             connection.send(StudyProgress(share, step, waiting))
 
-    send_result(connection, lambda: compute_outcome(path, report), StudyFailed)
+    connection.send(answer_of(lambda: compute_outcome(path, report), StudyFailed))
 
 
 def compute_outcome(path: Path, report: Callable[[float, str], None]) -> StudyOutcome:

@@ -21,9 +21,13 @@ Serve = Callable[["Connection[Any, Any]"], None]
 """The work: takes requests from a pipe and answers there, until the request None or the pipe's end (EOFError, OSError)."""
 Deliver = Callable[[object], None]
 Answer = TypeVar("Answer")
-ENDED = "the computation was ended by another program, or memory was short; begin it again"
+ENDED = "the process that computes it was ended by another program, or memory was short; begin again"
 NICE = 10
 """Lower priority of a worker: the station, which may run on the same computer, comes first."""
+
+
+class NotWanted(Exception):
+    """Raised within work that is not wanted any more: the worker ends without a result."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,7 @@ def _work(serve: Serve, connection: "Connection[Any, Any]") -> None:
 
 
 def _work_here(serve: Serve, connection: "Connection[Any, Any]") -> None:
-    with contextlib.suppress(EOFError, OSError), connection:
+    with contextlib.suppress(NotWanted, EOFError, OSError), connection:
         serve(connection)
 
 
@@ -169,16 +173,15 @@ class OneAtATime(Generic[Answer]):
             worker.close()
 
 
-def send_result(connection: "Connection[Any, Any]", compute: Callable[[], object], failed: Callable[[str], object]) -> None:
-    """Send what `compute` returns, or the reason why it has failed. Raises EOFError where it does: nobody wants it any more."""
+def answer_of(compute: Callable[[], Answer], failed: Callable[[str], Answer]) -> Answer:
+    """What `compute` returns, or the reason why it has failed. Raises NotWanted where it does."""
     try:
-        answer = compute()
-    except EOFError:
+        return compute()
+    except NotWanted:
         raise
     except UserError as error:
-        answer = failed(str(error))
+        return failed(str(error))
     except MemoryError:
-        answer = failed("there is too little memory for it")
+        return failed("there is too little memory for it")
     except Exception as error:  # noqa: BLE001  (of any library: reported, and the window goes on)
-        answer = failed(f"{type(error).__name__}: {error}")
-    connection.send(answer)
+        return failed(f"{type(error).__name__}: {error}")

@@ -44,9 +44,8 @@ class ScheduleForm(QWidget):
 
     def complete(self) -> None:
         """Make the fields, which the schedule's tables declare."""
-        from goniotwin.app.campaign.schedule.form import (
-            FIELDS,
-        )  # loads the schedule's tables, which a first picture does without
+        # It loads the schedule's tables, which the window's first picture does without.
+        from goniotwin.app.campaign.schedule.form import FIELDS
 
         for each in FIELDS:
             field = QComboBox() if each.choices else QLineEdit()

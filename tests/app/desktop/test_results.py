@@ -20,7 +20,8 @@ from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.results import Light, Results, View, first_light, nearest_light
 from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
 from goniotwin.app.desktop.dialogs import TextBox
-from goniotwin.app.desktop.model.results import ENDED, half_and_difference, value_texts
+from goniotwin.app.desktop.model.results import half_and_difference, value_texts
+from goniotwin.app.desktop.model.worker import ENDED
 from goniotwin.app.desktop.results.screen import COMPARISONS, NOTHING, PICTURES, ResultsScreen
 from goniotwin.app.desktop.theme import DARK, LIGHT
 from goniotwin.app.errors import UserError

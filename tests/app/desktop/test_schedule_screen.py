@@ -60,7 +60,8 @@ def question() -> QuestionBox:
 
 def test_a_value_of_the_form_is_in_the_text_and_the_file_after_saving(qtbot: QtBot, window: MainWindow) -> None:
     screen = screen_of(window)
-    path, before = Path(str(window.presenter.plan.schedule.name)), screen.text  # type: ignore[union-attr]
+    assert window.presenter.plan is not None
+    path, before = Path(window.presenter.plan.schedule.name), screen.text
     first = planned(qtbot, screen)
     assert first.facts[0].startswith("402 rows")
     assert len(first.maps) == 2
