@@ -18,8 +18,7 @@ from tests.app.campaign.campaign_bench import QUIET
 from tests.conftest import Writer
 from tests.system.command_process import FORKED
 from tests.system.conftest import until
-from tests.system.station_bench import kill_stations
-from tests.system.window_by_keys import WindowByKeys
+from tests.system.window_by_keys import WindowByKeys, windows
 
 UNSTEADY = "a window of its own may not be active yet when the next key comes: the way was gone in parts, never whole"
 pytestmark = [
@@ -36,23 +35,8 @@ FAULTS = '\n[faults]\nwire = "ask"\naxis = "ask"\n\n[metadata]\noperator = "Ada 
 
 @pytest.fixture
 def open_window(tmp_path: Path) -> Iterator[Callable[..., WindowByKeys]]:
-    """Opens windows; in the end kills them, and the stations."""
-    windows: list[WindowByKeys] = []
-
-    def opened(*arguments: object) -> WindowByKeys:
-        windows.append(WindowByKeys(tmp_path, "desktop", *arguments))
-        return windows[-1]
-
-    yield opened
-    for window in windows:
-        window.kill()
-    kill_stations()
-
-
-def answer(window: WindowByKeys, question: str, choice: str) -> None:
-    """Answer a question that comes."""
-    window.wait_for(question, f"[{choice}]")
-    window.choose(choice)
+    with windows(tmp_path) as opened:
+        yield opened
 
 
 def test_an_operators_day(open_window: Callable[..., WindowByKeys], write_rig: Writer, tmp_path: Path) -> None:
@@ -98,10 +82,10 @@ def test_an_operators_day(open_window: Callable[..., WindowByKeys], write_rig: W
     window.press("Alt+S")
     window.wait_for("[Start anyway]")
     window.choose("Start anyway")
-    answer(window, "Mount etalon", "Wait")
+    window.answer("Mount etalon", "Wait")
     window.wait_for("The run waits for an answer: Mount etalon")
     window.press("Alt+A")
-    answer(window, "Mount etalon", "Mounted")
+    window.answer("Mount etalon", "Mounted")
     window.wait_for("Mount gaussian-5", "[Mounted]")
     window.tab_to("Sample: thickness, mm")
     window.type_text("1.5")
@@ -114,14 +98,14 @@ def test_an_operators_day(open_window: Callable[..., WindowByKeys], write_rig: W
     os.kill(station.pid, signal.SIGUSR1)
     window.wait_for("Device fault", "Monitor (PM100D) is not responding", "[Retry]")
     os.kill(station.pid, signal.SIGUSR2)
-    answer(window, "Device fault", "Retry")
+    window.answer("Device fault", "Retry")
     done = window.wait_for_rows(done + 2)
     os.kill(station.pid, signal.SIGRTMIN)
     window.wait_for("Position of beta unknown", "[Set position]")
     os.kill(station.pid, signal.SIGRTMIN + 1)
     until(lambda: "[Use the encoder]" in window.seen())  # enabled, as its value is known
     window.choose("Enter the value of the encoder of beta")
-    answer(window, "Position of beta unknown", "Set position")
+    window.answer("Position of beta unknown", "Set position")
     done = window.wait_for_rows(done + 2)
 
     # Window and station are killed: nothing is lost, and one key goes on.
@@ -134,7 +118,7 @@ def test_an_operators_day(open_window: Callable[..., WindowByKeys], write_rig: W
     window = open_window(*arguments, "--schedule", schedule)
     window.wait_for(f"Interrupted: gaussian-5, isotropic, {kept.rows} of {kept.planned} rows. Resume?")
     window.press(RIG, "Alt+E", "Ctrl+P")
-    answer(window, "Mount gaussian-5", "Mounted")
+    window.answer("Mount gaussian-5", "Mounted")
     window.wait_for("Saved in", "values are above the detection limit", "[Results]", "[Report…]", "[Next sample…]")
     assert campaign_summary(journal).state == "done"
 

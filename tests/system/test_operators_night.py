@@ -24,8 +24,7 @@ from tests.app.campaign.campaign_bench import QUIET
 from tests.conftest import SMALL, Writer
 from tests.system.command_process import FORKED
 from tests.system.conftest import until
-from tests.system.station_bench import kill_stations
-from tests.system.window_by_keys import WindowByKeys
+from tests.system.window_by_keys import WindowByKeys, windows
 
 pytestmark = [
     *FORKED,
@@ -46,23 +45,8 @@ RIG, BENCH, RUN, CAMPAIGNS = "Ctrl+1", "Ctrl+2", "Ctrl+4", "Ctrl+5"
 
 @pytest.fixture
 def open_window(tmp_path: Path) -> Iterator[Callable[..., WindowByKeys]]:
-    """Opens windows; in the end kills them, and the stations."""
-    windows: list[WindowByKeys] = []
-
-    def opened(*arguments: object) -> WindowByKeys:
-        windows.append(WindowByKeys(tmp_path, "desktop", *arguments))
-        return windows[-1]
-
-    yield opened
-    for window in windows:
-        window.kill()
-    kill_stations()
-
-
-def answer(window: WindowByKeys, question: str, choice: str) -> None:
-    """Answer a question that comes."""
-    window.wait_for(question, f"[{choice}]")
-    window.choose(choice)
+    with windows(tmp_path) as opened:
+        yield opened
 
 
 def next_point_has_residual(window: WindowByKeys) -> bool:
@@ -122,11 +106,11 @@ def test_an_operators_night(
 
     # Start and mount.
     window.press("Alt+S")
-    answer(window, "Mount etalon", "Wait")
+    window.answer("Mount etalon", "Wait")
     window.wait_for("The run waits for an answer: Mount etalon")
     window.press("Alt+A")
-    answer(window, "Mount etalon", "Mounted")
-    answer(window, "Mount gaussian-5", "Mounted")
+    window.answer("Mount etalon", "Mounted")
+    window.answer("Mount gaussian-5", "Mounted")
     (journal,) = folder.glob("*.journal")
     done = window.wait_for_rows(campaign_summary(journal).rows + 3)
 
@@ -141,12 +125,12 @@ def test_an_operators_night(
     os.kill(station.pid, signal.SIGUSR1)
     window.wait_for("Device fault", "Monitor (PM100D) is not responding", "[Retry]")
     os.kill(station.pid, signal.SIGUSR2)
-    answer(window, "Device fault", "Retry")
+    window.answer("Device fault", "Retry")
     done = window.wait_for_rows(done + 2)
 
     # The window is closed; the run goes on; the next one shows all of it.
     window.press("Ctrl+Q")
-    answer(window, "Close the window?", "Keep measuring")
+    window.answer("Close the window?", "Keep measuring")
     assert window.wait_for_end() == 0, window.errors
     until(lambda: campaign_summary(journal).rows > done)
     window = open_window(*arguments)
@@ -170,7 +154,7 @@ def test_an_operators_night(
     assert kept.state == "killed"
     assert kept.rows >= done
     window.press("Alt+U")
-    answer(window, "Mount gaussian-5", "Mounted")  # a new session; the operator is still a person
+    window.answer("Mount gaussian-5", "Mounted")  # a new session; the operator is still a person
     assert window.wait_for_rows(kept.rows + 1) > kept.rows
     until(lambda: campaign_summary(journal).rows > kept.rows)
 

@@ -5,17 +5,20 @@ The process runs `goniotwin ARGUMENTS` and takes lines on standard input. A line
 the key has been taken, whatever follows from it. The stations that the window starts have a plug (`station_with_plug`).
 """
 
+import contextlib
 import json
 import os
 import re
 import subprocess
 import sys
 import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 from goniotwin.protocols.clock import RealClock
 from tests.conftest import REPOSITORY
+from tests.system.station_bench import kill_stations
 
 LONGEST_S = 300.0
 LOOK_S = 0.05
@@ -66,6 +69,11 @@ class WindowByKeys:
         """Press Tab until the focus is on a control, then Space."""
         self.tab_to(name)
         self.press("Space")
+
+    def answer(self, question: str, choice: str) -> None:
+        """Answer a question that comes."""
+        self.wait_for(question, f"[{choice}]")
+        self.choose(choice)
 
     def press_at(self, key: str) -> float:
         """Press a key; return the calendar time just before, s."""
@@ -124,6 +132,21 @@ class WindowByKeys:
         answer = json.loads(line)
         assert "ok" in answer, answer["error"]
         return answer["ok"]
+
+
+@contextlib.contextmanager
+def windows(folder: Path) -> Iterator[Callable[..., WindowByKeys]]:
+    """What opens windows with arguments; in the end kills them, and the stations."""
+    opened: list[WindowByKeys] = []
+
+    def open_window(*arguments: object) -> WindowByKeys:
+        opened.append(WindowByKeys(folder, "desktop", *arguments))
+        return opened[-1]
+
+    yield open_window
+    for each in opened:
+        each.kill()
+    kill_stations()
 
 
 def run() -> None:
