@@ -35,6 +35,8 @@ from goniotwin.twin.optics.geometry.coordinates import (
 )
 
 SPECTRUM_NM, ONE_NM = tuple(range(400, 701, 20)), (550,)
+USUAL_U, USUAL_H, USUAL_ETALON = 0.01, 4.0, "etalon"
+"""What a person is offered: target of u (k = 1, relative), longest machine time in h, and reference standard."""
 NOISE_SHARE = 3.0
 """The target over the noise of a row: so large a noise adds 5 % to an uncertainty that is otherwise as large as the target."""
 USUAL_SIGMA_DEG = 30.0

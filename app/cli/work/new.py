@@ -7,15 +7,20 @@ from typing import Any
 
 import typer
 
-from goniotwin.app.campaign.planning.templates import TEMPLATES, MadeSchedule, choose_template, make_schedule
+from goniotwin.app.campaign.planning.templates import (
+    TEMPLATES,
+    USUAL_ETALON,
+    USUAL_H,
+    USUAL_U,
+    MadeSchedule,
+    choose_template,
+    make_schedule,
+)
 from goniotwin.app.campaign.wording import duration_text
 from goniotwin.app.cli.output import answer, error_console
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.file import check_writable, write_file
 from goniotwin.app.rig import read_rig
-
-USUAL_U, USUAL_H, USUAL_ETALON = 0.01, 4.0, "etalon"
-"""The answers of Enter."""
 
 
 def new_schedule(

@@ -13,9 +13,6 @@ if TYPE_CHECKING:  # the window shows itself before the tables of the schedule a
     from goniotwin.app.campaign.schedule.form import FormField
     from goniotwin.app.desktop.model.draft import TemplateChoice
 
-TARGET_U, LONGEST_H = "0.02", "8"
-"""What a new schedule is made for, unless a person writes something else."""
-
 
 class ScheduleForm(QWidget):
     """The fields of a schedule. `edited` has the text of the schedule with what was typed."""
@@ -94,7 +91,7 @@ class NewSchedule(QDialog):
         self, parent: QWidget, samples: tuple[str, ...], sample: str, chosen: "Callable[[TemplateChoice], None]"
     ) -> None:
         # Loads the planner, which the window has by then.
-        from goniotwin.app.campaign.planning.templates import TEMPLATES
+        from goniotwin.app.campaign.planning.templates import TEMPLATES, USUAL_ETALON, USUAL_H, USUAL_U
         from goniotwin.app.desktop.model.draft import TemplateChoice
 
         super().__init__(parent)
@@ -107,10 +104,10 @@ class NewSchedule(QDialog):
         for choice in (self.sample, self.etalon):
             choice.setEditable(True)
             choice.addItems(samples)
-        self.etalon.setCurrentText("etalon")
-        others = [each for each in samples if each != "etalon"] or [sample or "sample"]
+        self.etalon.setCurrentText(USUAL_ETALON)
+        others = [each for each in samples if each != USUAL_ETALON] or [sample or "sample"]
         self.sample.setCurrentText(sample if sample in others else others[0])
-        self.relative_u, self.longest_h = QLineEdit(TARGET_U), QLineEdit(LONGEST_H)
+        self.relative_u, self.longest_h = QLineEdit(f"{USUAL_U:g}"), QLineEdit(f"{USUAL_H:g}")
         self._error = QLabel()
         self._error.setWordWrap(True)
         form = QFormLayout()
@@ -138,7 +135,7 @@ class NewSchedule(QDialog):
             try:
                 numbers.append(float(field.text()))
             except ValueError:
-                self._error.setText(f"{field.accessibleName()}: {field.text()!r} is no number; write one such as 0.02 or 8")
+                self._error.setText(f"{field.accessibleName()}: {field.text()!r} is no number; write one such as 0.01 or 4")
                 field.setFocus()
                 return
         sample, etalon = self.sample.currentText().strip(), self.etalon.currentText().strip()
