@@ -247,12 +247,13 @@ def _seen_of(instrument: Instrument, points: Floats, pupil: Floats) -> tuple[Flo
 
 
 def _cone_and_disc(instrument: Instrument, points: Floats, view: Floats) -> tuple[Floats, Floats, Floats]:
-    """How far a photodiode's cone and disc are apart, the area that they have in common, and its sum towards the disc (n,).
+    """How far a photodiode's cone and disc are apart, the area that they have in common, and its sum towards the disc (..., n).
 
-    Seen from `points` (n, k), against the disc's place, mm, both are circles of directions about the unit vector `view` (k,).
+    Seen from `points` (..., n, k), against the disc's place, mm, both are circles of directions about the unit vector `view`
+    (..., k).
     """
-    ahead = points @ view
-    apart = np.sqrt(np.maximum(np.sum(points**2, axis=1) - ahead**2, SMALLEST)) / instrument.arc_radius_mm
+    ahead = (points @ view[..., None])[..., 0]
+    apart = np.sqrt(np.maximum(np.sum(points**2, axis=-1) - ahead**2, SMALLEST)) / instrument.arc_radius_mm
     cone = math.tan(math.radians(0.5 * instrument.field_deg))
     return apart, *common_disc(cone, 0.5 * instrument.detector_diameter_mm / instrument.arc_radius_mm, apart)
 
@@ -279,7 +280,7 @@ def seen_light(instrument: Instrument, pose: tuple[float, float], view: Floats, 
     """
     spot = spot_weights(instrument, *pose)
     steps = DISC_STEP_MM * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
-    weight = np.stack([_cone_and_disc(instrument, spot.points - step, view)[1] for step in steps], axis=1)
+    weight = _cone_and_disc(instrument, spot.points - steps[:, None], view)[1].T
     least = SMALLEST * weight.sum(axis=0)
 
     def logarithm(at: Floats, columns: slice = slice(None)) -> Floats:
@@ -301,7 +302,7 @@ def seen_logarithm(instrument: Instrument, pose: tuple[float, float], views: Flo
     """
     spot = spot_weights(instrument, *pose)
     steps = DISC_STEP_MM * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
-    weight = np.stack([[_cone_and_disc(instrument, spot.points - step, view)[1] for step in steps] for view in views])
+    weight = _cone_and_disc(instrument, spot.points - steps[:, None], views[:, None])[1]
     whole = weight.sum(axis=2)[..., None]
     found = np.log(np.maximum(weight @ spot.lit_cells(places).T, SMALLEST * whole) / whole)
     by_disc = (found[:, 1:4] - found[:, 4:]) / (2.0 * DISC_STEP_MM)
@@ -317,7 +318,7 @@ def change_by_height(instrument: Instrument, pose: tuple[float, float], views: F
     spot, up = spot_weights(instrument, *pose), np.array([0.0, 0.0, PLACE_STEP_MM])
     found = []
     for sign in (1.0, -1.0):
-        weight = np.stack([_cone_and_disc(instrument, spot.points + sign * up, view)[1] for view in views])
+        weight = _cone_and_disc(instrument, spot.points + sign * up, views)[1]
         whole = weight.sum(axis=1)[:, None]
         lit = spot.lit_cells(places - sign * across_beam(pose[0]) @ up)
         found.append(np.log(np.maximum(weight @ lit.T, SMALLEST * whole) / whole))
