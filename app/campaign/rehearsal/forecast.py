@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from goniotwin.app.campaign.studies.decades import (
     peak_shares,
     relative_uncertainty,
 )
-from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.evaluation import Evaluation, evaluate_journal
 from goniotwin.app.campaign.studies.reflectance import integration_settings
 from goniotwin.app.campaign.studies.theory import deviations_in_u, true_bsdf
 from goniotwin.app.errors import UserError
@@ -169,25 +170,9 @@ def forecast(
     `truth` are the models of the samples by name: the values are then compared with them.
     Raises UserError where the CSV cannot be written, or there are no points for it.
     """
-    spreads: dict[str, UncertaintySpread] = {}
     try:
         with Journal.open(path, sizes) as journal:
-            evaluation = evaluate_journal(journal)
-            reduction = evaluation.reduction
-            closure = None if reduction.schedule.open_beam_scan is None else evaluation.closure
-            check_results = CheckResults(
-                calibrated=reduction.settings.calibrates, findings=tuple(evaluation.findings), closure=closure
-            )
-            parts = _parts(reduction, spreads, check_results, truth or {})
-            first = next(parts, None)
-            if points is None or first is None:
-                for _ in parts:
-                    pass
-            else:
-                stream = PointStream([*about, *COMMENTS], itertools.chain([first], parts))
-                format_for(points, {Holds.COLUMNS}).write(points, stream)
-            tallies = {name: each.tally for name, each in spreads.items()}
-            unchecked, target = reduction.unchecked(tallies), reduction.schedule.target
+            found = forecast_of(evaluate_journal(journal), points, about, truth or {})
     except FormatError:
         raise
     except UserError as error:
@@ -195,11 +180,34 @@ def forecast(
         if points is not None:
             raise UserError(f"{points}: no sample has a value, so there is nothing to write: {trouble}") from None
         return Forecast({}, CheckResults(trouble=trouble), trouble)
-    if points is not None and not spreads:
+    if points is not None and not found.spread:
         raise UserError(f"{points}: no sample has a value, so there is nothing to write")
-    spread = {name: each.summary() for name, each in spreads.items()}
+    return found
+
+
+def forecast_of(
+    evaluation: Evaluation,
+    points: Path | None = None,
+    about: Sequence[str] = (),
+    truth: Mapping[str, Scatterer] = MappingProxyType({}),
+) -> Forecast:
+    """The forecast from the evaluation of a journal that is open; see `forecast`. Raises UserError."""
+    spreads: dict[str, UncertaintySpread] = {}
+    reduction = evaluation.reduction
+    closure = None if reduction.schedule.open_beam_scan is None else evaluation.closure
+    results = CheckResults(calibrated=reduction.settings.calibrates, findings=tuple(evaluation.findings), closure=closure)
+    parts = _parts(reduction, spreads, results, truth)
+    first = next(parts, None)
+    if points is None or first is None:
+        for _ in parts:
+            pass
+    else:
+        stream = PointStream([*about, *COMMENTS], itertools.chain([first], parts))
+        format_for(points, {Holds.COLUMNS}).write(points, stream)
+    tallies, target = {name: each.tally for name, each in spreads.items()}, reduction.schedule.target
     asked = {} if target is None or target.relative_u is None else {k: v.known.against(target) for k, v in spreads.items()}
-    return Forecast(spread, check_results, tallies=tallies, unchecked=unchecked, target=asked)
+    spread = {name: each.summary() for name, each in spreads.items()}
+    return Forecast(spread, results, tallies=tallies, unchecked=reduction.unchecked(tallies), target=asked)
 
 
 def _parts(

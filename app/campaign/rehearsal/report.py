@@ -1,7 +1,9 @@
-"""A rehearsal's result as text for a terminal."""
+"""A rehearsal's result as text for a terminal, and as a page for the window."""
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
+from html import escape
 
 from goniotwin.app.campaign.rehearsal.forecast import SpreadSummary
 from goniotwin.app.campaign.rehearsal.rehearsal import Rehearsal, RehearsalResult
@@ -85,3 +87,58 @@ def _size(size: float) -> str:
             return f"{size:.3g} {unit}"
         size /= 1000.0
     return f"{size:.3g} {UNITS[-1]}"
+
+
+@dataclass(frozen=True)
+class RehearsalPage:
+    """The result of the rehearsal of a schedule: `missed` are the reasons to change it first, none where it is fit."""
+
+    name: str
+    missed: tuple[str, ...]
+    summary: str
+    html: str
+
+
+def rehearsal_page(rehearsal: Rehearsal) -> RehearsalPage:
+    """A rehearsal as a line and a page."""
+    result, name, target = rehearsal.result, rehearsal.plan.schedule.file.name, rehearsal.plan.schedule.file.target
+    others = [each for each in result.warnings if each not in result.missed]
+    counted = f", {len(others)} warning{'s' if len(others) > 1 else ''}" if others else ""
+    verdict = result.missed[0] if result.missed else f"nothing is missed{counted}"
+    longest = "" if target is None or target.longest_h is None else f" of at most {duration_text(3600.0 * target.longest_h)}"
+    facts = [
+        f"{result.rows} of {result.planned} rows in {duration_text(result.duration_s)}{longest}, and the time to mount",
+        *(
+            f"{sample}: {each.below_detection} of {each.trusted} values are below the detection limit"
+            for sample, each in result.relative_uncertainty.items()
+        ),
+        f"{result.saturated} values are saturated at every gain",
+    ]
+    html = [
+        *_paragraphs("✗ Start asks first, because", result.missed),
+        *_paragraphs("SIMULATED: what the campaign will be", facts),
+        *(_table(rehearsal, sample) for sample in result.relative_uncertainty),
+        *_paragraphs("⚠ Look at", others),
+        *_paragraphs("Assumed", result.assumed),
+    ]
+    return RehearsalPage(name, tuple(result.missed), f"Rehearsed {name}: {verdict}", "".join(html))
+
+
+def _paragraphs(heading: str, texts: list[str]) -> Iterator[str]:
+    if texts:
+        yield f"<p><b>{heading}</b></p><ul>{''.join(f'<li>{escape(each)}</li>' for each in texts)}</ul>"
+
+
+def _table(rehearsal: Rehearsal, sample: str) -> str:
+    """The predicted u of a sample by decade of the peak, against what is asked for."""
+    result, target = rehearsal.result, rehearsal.plan.schedule.file.target
+    asked = {each.of_peak: each for each in result.target.get(sample, [])}
+    limit = "" if target is None or target.relative_u is None else f"u ≤ {percent(target.relative_u)} asked for"
+    rows = [("share of the peak", "values", "median u (k = 1)", limit)]
+    for each in result.relative_uncertainty[sample].decades:
+        if each.values:
+            of = asked.get(each.of_peak)
+            met = "" if of is None else f"{'✓' if of.met else '✗'} {of.within} of {of.values}"
+            rows.append((each.of_peak, str(each.values), "" if math.isnan(each.p50) else percent(each.p50), met))
+    cells = "".join(f"<tr>{''.join(f'<td>{escape(text)}</td>' for text in row)}</tr>" for row in rows)
+    return f"<p><b>{escape(sample)}: predicted uncertainty</b></p><table cellpadding='4'>{cells}</table>"

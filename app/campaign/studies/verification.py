@@ -7,7 +7,7 @@ it as evidence: what it determines, and whether that contradicts what is stated.
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -102,6 +102,15 @@ class Verdict:
         """The verdict for JSON."""
         own = {} if self.evidence is None else {"evidence": vars(self.evidence)}
         return {"name": self.name, "verdict": self.verdict, "text": self.text, "remedy": self.remedy, **self.figures, **own}
+
+
+def verdicts_text(verdicts: Iterable[Verdict]) -> str:
+    """The number of verdicts by outcome, with the names of those that do not hold."""
+    of = {word: [each.name for each in verdicts if each.verdict == word] for word in ("fails", "warns", "holds")}
+    parts = [
+        f"{len(of[word])} {text}: {', '.join(of[word])}" for word, text in (("fails", "fail"), ("warns", "warn")) if of[word]
+    ]
+    return "Checks: " + "; ".join([*parts, f"{len(of['holds'])} hold"])
 
 
 def verify_journal(evaluation: Evaluation) -> list[Verdict]:

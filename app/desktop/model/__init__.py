@@ -46,11 +46,11 @@ if TYPE_CHECKING:
     from goniotwin.app.desktop.model.results import value_texts as value_texts
     from goniotwin.app.desktop.model.rig_facts import RigFacts as RigFacts
     from goniotwin.app.desktop.model.tolerances import Studies as Studies
-    from goniotwin.app.desktop.model.tolerances import StudyFailed as StudyFailed
     from goniotwin.app.desktop.model.tolerances import StudyOutcome as StudyOutcome
     from goniotwin.app.desktop.model.tolerances import StudyProgress as StudyProgress
     from goniotwin.app.desktop.model.tolerances import read_content as read_content
     from goniotwin.app.desktop.model.tolerances import write_outcome as write_outcome
+    from goniotwin.app.desktop.model.worker import WorkFailed as WorkFailed
     from goniotwin.app.figures.scale import linear_ticks as linear_ticks
     from goniotwin.app.station.messages import ActivityChanged as ActivityChanged
     from goniotwin.app.station.messages import BenchReading as BenchReading

@@ -17,7 +17,7 @@ import numpy as np
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.points import FLAGS
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
-from goniotwin.app.campaign.studies.verification import Verdict, verify_journal
+from goniotwin.app.campaign.studies.verification import Verdict, verdicts_text, verify_journal
 from goniotwin.app.data.comparison import THEORY as THEORY
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.opening import open_in_parts
@@ -71,14 +71,8 @@ class Checked:
 
     @property
     def summary(self) -> str:
-        """Their number by outcome, with the names of those that do not hold."""
-        of = {word: [each.name for each in self.verdicts if each.verdict == word] for word in ("fails", "warns", "holds")}
-        parts = [
-            f"{len(of[word])} {text}: {', '.join(of[word])}"
-            for word, text in (("fails", "fail"), ("warns", "warn"))
-            if of[word]
-        ]
-        return "Checks: " + "; ".join([*parts, f"{len(of['holds'])} hold"])
+        """Them in one line."""
+        return verdicts_text(self.verdicts)
 
     @property
     def html(self) -> str:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from goniotwin.app.desktop.model.worker import NotWanted, OneAtATime, answer_of
+from goniotwin.app.desktop.model.worker import NotWanted, OneAtATime, WorkFailed, answer_of
 from goniotwin.app.formats.file import make_folder, write_file
 from goniotwin.app.json_document import json_text
 from goniotwin.app.simulation.tolerances.study import (
@@ -124,20 +124,13 @@ class StudyProgress:
 
 
 @dataclass(frozen=True)
-class StudyFailed:
-    """A study without a result, and the reason in one line."""
-
-    reason: str
-
-
-@dataclass(frozen=True)
 class Wait:
     """The request to wait at the next step, or no longer."""
 
     wanted: bool
 
 
-StudyAnswer = StudyProgress | StudyOutcome | StudyFailed
+StudyAnswer = StudyProgress | StudyOutcome | WorkFailed
 
 
 def read_content(path: Path) -> StudyContent:
@@ -207,7 +200,7 @@ def serve_study(connection: "Connection[Any, Any]") -> None:
             waiting = request.wanted
             connection.send(StudyProgress(share, step, waiting))
 
-    connection.send(answer_of(lambda: compute_outcome(path, report), StudyFailed))
+    connection.send(answer_of(lambda: compute_outcome(path, report), WorkFailed))
 
 
 def compute_outcome(path: Path, report: Callable[[float, str], None]) -> StudyOutcome:
@@ -317,7 +310,7 @@ class Studies(OneAtATime[StudyAnswer]):
     """Computes one study at a time in a worker. `deliver` is called in a thread, with the number of a study and an answer."""
 
     def __init__(self, deliver: Callable[[tuple[int, StudyAnswer]], None], *, process: bool = True) -> None:
-        super().__init__("tolerances", serve_study, deliver, StudyProgress, StudyFailed, process=process)
+        super().__init__("tolerances", serve_study, deliver, StudyProgress, process=process)
 
     def compute(self, path: Path) -> None:
         """Begin a study, in place of one that is being computed; at once."""

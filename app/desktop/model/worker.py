@@ -21,6 +21,7 @@ Serve = Callable[["Connection[Any, Any]"], None]
 """The work: takes requests from a pipe and answers there, until the request None or the pipe's end (EOFError, OSError)."""
 Deliver = Callable[[object], None]
 Answer = TypeVar("Answer")
+Failure = TypeVar("Failure")
 ENDED = "the process that computes it was ended by another program, or memory was short; begin again"
 NICE = 10
 """Lower priority of a worker: the station, which may run on the same computer, comes first."""
@@ -28,6 +29,13 @@ NICE = 10
 
 class NotWanted(Exception):
     """Raised within work that is not wanted any more: the worker ends without a result."""
+
+
+@dataclass(frozen=True)
+class WorkFailed:
+    """Work without a result, and the reason in one line."""
+
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -127,7 +135,7 @@ class OneAtATime(Generic[Answer]):
     """Work with one result, each piece in a worker of its own that may be ended at any time.
 
     `deliver` is called in a thread with the number of the piece and an answer. After one that is no `progress` there is no
-    other; it is `failed` with the reason of a worker that was ended from outside.
+    other; it is a `WorkFailed` with the reason of a worker that was ended from outside.
     """
 
     def __init__(
@@ -135,13 +143,12 @@ class OneAtATime(Generic[Answer]):
         name: str,
         serve: Serve,
         deliver: Callable[[tuple[int, Answer]], None],
-        progress: type[object],
-        failed: Callable[[str], Answer],
+        progress: type[object] | tuple[()] = (),
         *,
         process: bool = True,
     ) -> None:
         self._name, self._serve, self._deliver = name, serve, deliver
-        self._progress, self._failed, self._in_process = progress, failed, process
+        self._progress, self._in_process = progress, process
         self._worker: Worker | None = None
         self.number = 0
         """The number of the piece that is computed, or was last."""
@@ -153,7 +160,7 @@ class OneAtATime(Generic[Answer]):
 
         def deliver(delivered: object) -> None:
             nonlocal done
-            answer: Any = self._failed(ENDED) if isinstance(delivered, WorkerEnded) else delivered
+            answer: Any = WorkFailed(ENDED) if isinstance(delivered, WorkerEnded) else delivered
             if not done:  # a worker that has sent its result ends by itself
                 self._deliver((number, answer))
             done = not isinstance(answer, self._progress)
@@ -173,7 +180,7 @@ class OneAtATime(Generic[Answer]):
             worker.close()
 
 
-def answer_of(compute: Callable[[], Answer], failed: Callable[[str], Answer]) -> Answer:
+def answer_of(compute: Callable[[], Answer], failed: Callable[[str], Failure]) -> Answer | Failure:
     """What `compute` returns, or the reason why it has failed. Raises NotWanted where it does."""
     try:
         return compute()

@@ -5,8 +5,10 @@ from pathlib import Path
 from PySide6.QtCore import QObject, Qt, Signal, Slot
 from PySide6.QtWidgets import QWidget
 
+from goniotwin.app.campaign.rehearsal.conclusion import Conclusion
 from goniotwin.app.desktop.events.question import Choice, QuestionBox
-from goniotwin.app.desktop.model.conclusion import Conclusion, Conclusions, NoConclusion
+from goniotwin.app.desktop.model.conclusion import serve_conclusion
+from goniotwin.app.desktop.model.worker import OneAtATime, WorkFailed
 
 RESULTS, REPORT, NEXT, CLOSE = "Results", "Report…", "Next sample…", "Close"
 CHOICES = (
@@ -35,7 +37,9 @@ class ConclusionControl(QObject):
     def __init__(self, window: QWidget, *, processes: bool = True) -> None:
         super().__init__(window)
         self._window = window
-        self._conclusions = Conclusions(self._answered.emit, process=processes)
+        self._conclusions = OneAtATime[Conclusion | WorkFailed](
+            "conclusion", serve_conclusion, self._answered.emit, process=processes
+        )
         self.box: QuestionBox | None = None
         self._answered.connect(self._take, Qt.ConnectionType.QueuedConnection)
 
@@ -52,12 +56,12 @@ class ConclusionControl(QObject):
             self.box = None
 
     @Slot(object)
-    def _take(self, numbered: tuple[int, Conclusion | NoConclusion]) -> None:
+    def _take(self, numbered: tuple[int, Conclusion | WorkFailed]) -> None:
         number, found = numbered
         if number != self._conclusions.number:
             return
         self.end()
-        if isinstance(found, NoConclusion):
+        if isinstance(found, WorkFailed):
             self.reported.emit(f"The campaign is done. It has no summary: {found.reason}", True)
             return
         lines = found.lines[:MOST_LINES]

@@ -6,9 +6,11 @@ from PySide6.QtCore import QObject, Qt, Signal, Slot
 from PySide6.QtWidgets import QWidget
 
 from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.rehearsal.report import RehearsalPage
 from goniotwin.app.desktop.dialogs import TextBox
 from goniotwin.app.desktop.events.question import QuestionBox, ask_to_replace
-from goniotwin.app.desktop.model.rehearsal import RehearsalAnswer, RehearsalFailed, RehearsalProgress, Rehearsals, Rehearsed
+from goniotwin.app.desktop.model.rehearsal import RehearsalAnswer, RehearsalProgress, Rehearsals
+from goniotwin.app.desktop.model.worker import WorkFailed
 
 START_ANYWAY = "Start anyway"
 
@@ -27,14 +29,14 @@ class RehearsalControl(QObject):
         super().__init__(window)
         self._window = window
         self._rehearsals = Rehearsals(self._answered.emit, process=processes)
-        self._verdict: Rehearsed | None = None
+        self._verdict: RehearsalPage | None = None
         self._plan: Plan | None = None
         self.rehearsing = False
         self.question: QuestionBox | None = None
         self._answered.connect(self._take, Qt.ConnectionType.QueuedConnection)
 
     @property
-    def rehearsed(self) -> Rehearsed | None:
+    def rehearsed(self) -> RehearsalPage | None:
         """The verdict on the plan that is open."""
         return self._verdict if self._rehearsals.is_of(self._plan) else None
 
@@ -86,11 +88,11 @@ class RehearsalControl(QObject):
         match answer:
             case RehearsalProgress():
                 self.progressed.emit(str(answer))
-            case Rehearsed():
+            case RehearsalPage():
                 self.end("")
                 self._verdict = answer
                 self.reported.emit(answer.summary, bool(answer.missed))
                 TextBox(self._window, f"Rehearsal of {answer.name}", answer.html).show()
-            case RehearsalFailed(reason):
+            case WorkFailed(reason):
                 self.end("")
                 self.reported.emit(f"The rehearsal has failed: {reason}", True)

@@ -358,7 +358,7 @@ class TolerancesScreen(Screen):
                 self._show_outcome(answer)
                 self.parts.setCurrentWidget(self._together)
                 self._end("")
-            case model.StudyFailed(reason):
+            case model.WorkFailed(reason):
                 self._end(reason, error=True)
 
     def _end(self, text: str, *, error: bool = False) -> None:

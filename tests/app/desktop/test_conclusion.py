@@ -5,10 +5,10 @@ from pathlib import Path
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.rehearsal.conclusion import conclude
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.desktop import MainWindow
-from goniotwin.app.desktop.model.conclusion import conclude
 from goniotwin.app.desktop.results.screen import ResultsScreen
 from goniotwin.app.desktop.run.conclusion import NEXT, RESULTS
 from goniotwin.app.desktop.setup.screen import SetupScreen

@@ -8,12 +8,13 @@ from PySide6.QtWidgets import QTextBrowser
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.rehearsal.report import RehearsalPage
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.desktop import MainWindow
 from goniotwin.app.desktop.dialogs import TextBox
 from goniotwin.app.desktop.events.question import CANCEL
-from goniotwin.app.desktop.model.rehearsal import RehearsalProgress, Rehearsals, Rehearsed
+from goniotwin.app.desktop.model.rehearsal import RehearsalProgress, Rehearsals
 from goniotwin.app.desktop.run.panel import CANCEL as CANCEL_REHEARSAL
 from goniotwin.app.desktop.run.panel import REHEARSE
 from goniotwin.app.desktop.run.rehearsal import START_ANYWAY
@@ -127,6 +128,6 @@ def test_a_worker_rehearses_in_a_process_of_its_own_and_leaves_nothing(write_sch
     assert isinstance(found[-1], tuple)
     number, answer = found[-1]
     assert number == 1
-    assert isinstance(answer, Rehearsed), answer
+    assert isinstance(answer, RehearsalPage), answer
     assert answer.summary.startswith(f"Rehearsed small: {BELOW}")
     assert len(found) > 1  # with its progress

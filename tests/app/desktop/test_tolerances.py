@@ -20,8 +20,8 @@ from goniotwin.app.desktop import model
 from goniotwin.app.desktop.events.question import REPLACE
 from goniotwin.app.desktop.model import tolerances
 from goniotwin.app.desktop.model.messages import Attached, NotAttached
-from goniotwin.app.desktop.model.tolerances import Studies, StudyAnswer, StudyFailed, StudyOutcome, StudyProgress, read_content
-from goniotwin.app.desktop.model.worker import ENDED
+from goniotwin.app.desktop.model.tolerances import Studies, StudyAnswer, StudyOutcome, StudyProgress, read_content
+from goniotwin.app.desktop.model.worker import ENDED, WorkFailed
 from goniotwin.app.desktop.theme import LIGHT
 from goniotwin.app.desktop.tolerances.distribution_view import NOTHING, ROOM_OF_VALUE
 from goniotwin.app.desktop.tolerances.screen import CANCELLED, FOLDER, IN_RUN, READY, WAITING, TolerancesScreen
@@ -147,7 +147,7 @@ def test_progress_and_result_are_shown_and_the_result_is_kept_for_its_study(scre
     answer(screen, StudyProgress(0.25, "the study: 8192 of 531441 combinations"))
     assert screen.progress.value() == 250
     assert screen.status.text() == "The study: 8192 of 531441 combinations …"
-    answer(screen, StudyFailed("of an earlier study"), number=0)
+    answer(screen, WorkFailed("of an earlier study"), number=0)
     outcome = made_outcome()
     answer(screen, outcome)
     assert NoStudies.asked[-1] == "end"
@@ -193,7 +193,7 @@ def test_a_computation_is_cancelled_and_one_that_fails_gives_the_reason(screen: 
     answer(screen, made_outcome())  # it was on its way
     assert screen.outcome is None
     click(screen.compute_button)
-    answer(screen, StudyFailed("the instrument gives no value"), number=2)
+    answer(screen, WorkFailed("the instrument gives no value"), number=2)
     assert screen.status.text() == "✗ the instrument gives no value"
     assert screen.compute_button.isEnabled()
 
@@ -309,7 +309,7 @@ def test_a_worker_that_is_ended_by_another_program_is_a_study_without_a_result(m
     monkeypatch.setattr(tolerances, "serve_study", lambda connection: connection.recv())
     studies = Studies(answers.put, process=False)
     studies.compute(FOLDER / "quick.toml")
-    assert answers.get(timeout=LONGEST_S) == (1, StudyFailed(ENDED))
+    assert answers.get(timeout=LONGEST_S) == (1, WorkFailed(ENDED))
     studies.end()
     assert answers.empty()
 

@@ -1,0 +1,35 @@
+"""The conclusion of a measured campaign in words, by the rules of a rehearsal: what of it can be used, and what to add."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.rehearsal.forecast import forecast_of
+from goniotwin.app.campaign.rehearsal.warnings import largest_text, missed_warnings
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.verification import NOTHING, verdicts_text, verify_journal
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """The lines about a journal, and the text of its schedule."""
+
+    journal: Path
+    schedule: str
+    lines: tuple[str, ...]
+
+
+def conclude(path: Path) -> Conclusion:
+    """Conclude a journal, with the verdicts of `verify`. Raises UserError without values."""
+    with Journal.open(path) as journal:
+        evaluation = evaluate_journal(journal)
+        found, verdicts = forecast_of(evaluation), verify_journal(evaluation)
+        schedule, file, rig = journal.value("schedule"), evaluation.reduction.schedule, evaluation.reduction.rig.file
+    lines = [
+        f"{name}: {each.trusted - each.below_detection} of {each.directions} values are above the detection limit. "
+        f"{largest_text(each)}".strip()
+        for name, each in found.spread.items()
+    ]
+    lines += [verdicts_text(verdicts)] if any(each.verdict != NOTHING for each in verdicts) else []
+    lines += [f"{each.name} {each.verdict}: {each.remedy}" for each in verdicts if each.remedy]
+    return Conclusion(path, schedule, (*lines, *missed_warnings(file, rig, found)))
