@@ -15,6 +15,7 @@ from tests.system.conftest import ForkedServe, until
 pytestmark = pytest.mark.endpoint
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="a station is ended by a signal")
 def test_no_log_has_a_secret(forked_serve: ForkedServe, write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     served, log = tmp_path / "served.toml", tmp_path / "log"

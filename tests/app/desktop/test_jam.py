@@ -40,6 +40,7 @@ def jammed_question(qtbot: QtBot, window: MainWindow, stations: LocalStations) -
     return wait_for_question(qtbot, window, "Position of beta unknown")
 
 
+@pytest.mark.long
 def test_a_jammed_axis_is_stated_by_its_encoder_and_the_values_are_those_of_an_undisturbed_rig(
     qtbot: QtBot, open_window: WindowOpener, stations: LocalStations, write_rig: Writer, write_schedule: Writer
 ) -> None:

@@ -169,6 +169,7 @@ def test_both_arcs_and_both_sides_are_those_of_the_journal(write_rig: Writer, wr
     assert all(each.any() and not each.all() for each in lights)
 
 
+@pytest.mark.long
 def test_transmitted_light_alone_is_that_of_the_journal(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     rig = read_rig(write_rig(WHITE, SHEETS))
     plan = make_plan(read_schedule(write_schedule(("gaussian-5", "glass"), text=SMALL + 'light = "transmitted"\n')), rig)

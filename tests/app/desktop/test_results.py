@@ -182,6 +182,7 @@ def test_a_damaged_file_has_one_line_and_the_next_one_is_opened(
     assert screen.heading.text().startswith("small: journal")
 
 
+@pytest.mark.long
 def test_a_campaign_in_progress_is_opened_and_read_again(
     qtbot: QtBot, screen: ResultsScreen, plan: NewPlan, tmp_path: Path
 ) -> None:
@@ -208,6 +209,7 @@ def test_a_campaign_in_progress_is_opened_and_read_again(
     assert screen.heading.text() != before
 
 
+@pytest.mark.long
 def test_a_worker_that_is_ended_is_reported_and_the_next_file_has_another(
     qtbot: QtBot, screen: ResultsScreen, journal: Path
 ) -> None:

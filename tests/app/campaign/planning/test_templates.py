@@ -118,6 +118,7 @@ def test_light_straight_through_is_measured() -> None:
     assert nearest_deg(made("transmitted"), 20.0, -light(20.0), lower=True) < 1e-6
 
 
+@pytest.mark.long
 def test_more_time_gives_finer_steps_and_too_little_is_stated() -> None:
     rows = [len(made("isotropic", longest_h=hours).plan.rows) for hours in (0.2, 0.5, 1.0, 4.0, 100.0)]
     assert rows == sorted(set(rows))

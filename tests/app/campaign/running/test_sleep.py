@@ -141,6 +141,7 @@ def test_the_computer_is_kept_awake_while_a_run_goes_on(plan: Plan, tmp_path: Pa
     assert log.read_text(encoding="ascii").splitlines()[1:] == ["ended"]
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has a way of its own")
 def test_a_way_to_stay_awake_that_hangs_with_its_children_holds_up_no_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
