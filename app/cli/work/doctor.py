@@ -93,15 +93,14 @@ def examine(rig: Path | None = None) -> list[Finding]:
         clock,
         logs,
     )
+    at_rig = [] if rig is None else rig_ports(rig)  # what is refused is not waited for
     found: list[Finding] = []
     for group in groups:
         try:
             found += group()
         except Exception as error:  # noqa: BLE001  (a library that is broken in any way must not end the examination)
             found.append(Finding(group.__name__.replace("_", " "), "note", f"not examined: {type(error).__name__}: {error}"))
-    if rig is not None:
-        found += rig_ports(rig)
-    return [Finding(each.topic, each.level, anonymous(each.text), anonymous(each.remedy)) for each in found]
+    return [Finding(each.topic, each.level, anonymous(each.text), anonymous(each.remedy)) for each in [*found, *at_rig]]
 
 
 def findings_text(findings: list[Finding]) -> str:
