@@ -20,7 +20,7 @@ from goniotwin.protocols.clock import RealClock
 from tests.conftest import REPOSITORY
 from tests.system.station_bench import kill_stations
 
-LONGEST_S = 300.0
+LONGEST_S = 120.0
 LOOK_S = 0.05
 MOST_TABS = 100
 
@@ -71,8 +71,9 @@ class WindowByKeys:
         self.press("Space")
 
     def answer(self, question: str, choice: str) -> None:
-        """Answer a question that comes."""
+        """Answer a question that comes, once the keys go there."""
         self.wait_for(question, f"[{choice}]")
+        self.wait_for_window(question)
         self.choose(choice)
 
     def press_at(self, key: str) -> float:
@@ -97,6 +98,13 @@ class WindowByKeys:
         until = self._clock.now() + LONGEST_S
         while not self.reads(*texts):
             assert self._clock.now() < until, f"{texts} are not to be read: {self.seen()}"
+            self._clock.sleep_until(self._clock.now() + LOOK_S)
+
+    def wait_for_window(self, title: str) -> None:
+        """Wait until the keys go to the window with this in its title."""
+        until = self._clock.now() + LONGEST_S
+        while title not in (active := str(self._do("active_title"))):
+            assert self._clock.now() < until, f"{active} is active, not {title}"
             self._clock.sleep_until(self._clock.now() + LOOK_S)
 
     def wait_for_rows(self, rows: int) -> int:

@@ -278,7 +278,7 @@ class OrderRow(QFrame):
         self.acknowledged.emit(self._order)
 
 
-NOTICES = {"operate": "Operate fro&m here", "connect": "Connect a&gain", "resume": "Res&ume", "continue": "Resume"}
+NOTICES = {"operate": "Operate fro&m here", "connect": "Connect a&gain", "resume": "Res&ume", "continue": "Resu&me"}
 """What can be done about the station, by the name of the action: the label of its button, with a letter of its own."""
 
 

@@ -1,8 +1,6 @@
 """The report: what it states of a journal, that it needs no other file, and that texts of a journal are texts."""
 
 import base64
-import csv
-import io
 import re
 import sys
 import time  # noqa: TID251  (its zone)
@@ -23,10 +21,10 @@ from goniotwin.app.data.opening import open_dataset
 from goniotwin.app.data.report.report import NO_PANGO, pdf_of, report_html, write_report
 from goniotwin.app.data.standard_values import standard_values
 from goniotwin.app.errors import GoniotwinError, MissingPackage
-from goniotwin.app.formats.content import UNTRUSTED
 from goniotwin.app.formats.file import FormatError
 from goniotwin.app.rig import read_rig
 from tests.app.campaign.reduction.long_journal import write_long_journal
+from tests.app.data.report_values import check_report_values
 from tests.conftest import REPOSITORY, RIG, SMALL, changed
 
 pytestmark = pytest.mark.xdist_group("report")
@@ -217,18 +215,7 @@ def test_each_page_of_a_pdf_has_number_and_mark_and_its_values_are_those_of_the_
     text = " ".join(pages)
     assert "measured by A. Person" in text
     open_dataset(journal).save(tmp_path / "a.csv")
-    lines = [each for each in (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines() if not each.startswith("#")]
-    rows = list(csv.DictReader(io.StringIO("\n".join(lines))))
-    good = [each for each in rows if each["bsdf_per_sr"] not in ("", "nan") and UNTRUSTED.isdisjoint(each["flags"].split())]
-    for nm in (550, 600):
-        here = [each for each in good if float(each["wavelength_nm"]) == nm]
-        largest = max(float(each["bsdf_per_sr"]) for each in here)
-        planned = sum(float(each["wavelength_nm"]) == nm for each in rows)
-        assert re.search(rf"reflected {nm} nm 30 {planned} {len(here)} \d+ {largest:.4g} ", text)
-        (specular,) = (each for each in here if abs(float(each["theta_deg"])) < 1e-6)
-        value, u = float(specular["bsdf_per_sr"]), float(specular["u_bsdf_per_sr"])
-        four = f"{value:#.4g} {2.0 * u:#.2g} {3.14159265 * value:#.4g} {6.2831853 * u:#.2g}"
-        assert f"specular reflected {nm} 30° 30° 180° {four} measured" in text
+    assert check_report_values(text, tmp_path / "a.csv") == 2
 
 
 @pytest.mark.long

@@ -6,7 +6,18 @@ import re
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QKeySequence
 from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QAbstractButton, QApplication, QComboBox, QLabel, QMenuBar, QProgressBar, QTableView, QWidget
+from PySide6.QtWidgets import (
+    QAbstractButton,
+    QApplication,
+    QComboBox,
+    QDialog,
+    QLabel,
+    QMenuBar,
+    QProgressBar,
+    QTableView,
+    QTextBrowser,
+    QWidget,
+)
 
 from goniotwin.protocols.clock import calendar_s
 
@@ -51,6 +62,11 @@ def focused() -> str:
     return "" if widget is None else widget.accessibleName()
 
 
+def active_title() -> str:
+    """The title of the window that the keys go to."""
+    return _active().windowTitle()
+
+
 def seen() -> list[str]:
     """What is to be read in the windows that are shown, each text once."""
     texts: dict[str, None] = {}
@@ -84,6 +100,8 @@ def _texts(widget: QWidget) -> list[str]:
             return [f"{widget.accessibleName()}: {widget.currentText()}"]
         case QTableView():
             return [_row(widget, row) for row in range(min(widget.model().rowCount(), MOST_ROWS))]
+        case QTextBrowser():
+            return [widget.toPlainText()]
         case QMenuBar():
             return []
         case _:  # a plot or a picture: what a screen reader has of it
@@ -98,19 +116,24 @@ def _row(table: QTableView, row: int) -> str:
 
 
 def _focus() -> QWidget:
-    """Where a key goes. When a window is closed, another one is active from then on, as window managers have it."""
-    active = QApplication.activePopupWidget() or QApplication.activeWindow()
-    if active is None or not active.isVisible():
-        shown = [each for each in QApplication.topLevelWidgets() if each.isVisible() and each.isWindow()]
-        assert shown, "no window is shown"
-        shown[-1].activateWindow()
-        # Qt's qWaitForWindowActive takes the hidden child that had the focus before for an active window.
-        for _ in range(LOOKS):
-            if QApplication.activeWindow() is shown[-1]:
-                break
-            QTest.qWait(LOOK_MS)
-        else:
-            raise AssertionError("no window of the program is active")
-        active = shown[-1]
+    """Where a key goes."""
+    active = QApplication.activePopupWidget() or _active()
     focused: QWidget | None = active.focusWidget()
     return active if focused is None else focused
+
+
+def _active() -> QWidget:
+    """The active window. When it, or a list that it shows, is closed, another one is active, as window managers have it."""
+    active = QApplication.activeWindow()
+    if active is not None and active.isVisible():
+        return active
+    shown = [each for each in QApplication.topLevelWidgets() if each.isVisible() and each.isWindow()]
+    assert shown, "no window is shown"
+    shown.sort(key=lambda each: isinstance(each, QDialog))  # a dialog is above the window that it belongs to
+    shown[-1].activateWindow()
+    # Qt's qWaitForWindowActive takes the hidden child that had the focus before for an active window.
+    for _ in range(LOOKS):
+        if QApplication.activeWindow() is shown[-1]:
+            return shown[-1]
+        QTest.qWait(LOOK_MS)
+    raise AssertionError("no window of the program is active")
