@@ -109,7 +109,10 @@ class Share:
 
 @dataclass(frozen=True)
 class Converted:
-    """The files that were written, the number of measured values in them, and what was omitted or is not measured."""
+    """The files that were written, the number of measured values in them, and what was omitted or is not measured.
+
+    `has_points`: the file has the measured points beside its tables.
+    """
 
     files: tuple[Path, ...]
     format: str
@@ -119,6 +122,7 @@ class Converted:
     shares: tuple[Share, ...] = ()
     notes: tuple[str, ...] = ()
     widest_gap_deg: float | None = None
+    has_points: bool = False
 
     @property
     def largest(self) -> Share | None:
@@ -128,8 +132,8 @@ class Converted:
 
     @property
     def unmeasured_line(self) -> str | None:
-        """The share that was not measured, in one line."""
-        if (found := self.largest) is None:
+        """The share that was not measured, in one line; None where nothing is missing, or the file has the points too."""
+        if self.has_points or (found := self.largest) is None:
             return None
         others = [each for each in FILLS if each not in (self.fill, "refuse")]
         text = f"{100.0 * found.share:.3g} % of the scattered light at sigma {found.sigma_deg:g} is at nodes of the table that "
@@ -138,10 +142,11 @@ class Converted:
             text += f", the most of {len(self.shares)} incidences"
         if self.widest_gap_deg is not None:
             text += (
-                f"; nodes between directions more than {self.widest_gap_deg:g} deg apart are interpolated and do not count: "
-                f"measure a finer grid, or write a list of points ({_of_points()})"
+                f". Between measured directions more than {self.widest_gap_deg:g} deg apart the table is interpolated, and its "
+                f"u is at least the value. To keep the measured values, write a list of points ({_of_points()}), or measure a "
+                "finer grid"
             )
-        return f"{text}; other gaps are filled by {self.fill} (other ways: --fill {' or '.join(others)})"
+        return f"{text}. Gaps are filled by {self.fill} (other ways: --fill {' or '.join(others)})"
 
     def as_dict(self) -> dict[str, Any]:
         """The result for JSON."""
@@ -235,7 +240,8 @@ def archive_journal(
     """Write the archive of a journal, with all that its uncertainties are made of and what was recorded. Raises UserError."""
     done = write_archive(journal, reduced, path, fill=choice.fill, without_damaged=without_damaged)
     shares = tuple(share for table in done.tables for share in shares_of(table))
-    return Converted((path,), "archive", done.values, reduced.simulated, choice.fill, shares, done.without_table)
+    written = Converted((path,), "archive", done.values, reduced.simulated, choice.fill, shares, done.without_table)
+    return replace(written, has_points=True)
 
 
 def convert_content(content: BsdfFile, path: Path, form: Format, choice: Choice, source: Path | None = None) -> Converted:

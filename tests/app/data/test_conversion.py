@@ -82,7 +82,7 @@ def test_the_share_that_was_not_measured_is_reported_and_is_in_the_file(
     assert f"{100.0 * shares[0.0]:.3g} % at sigma 0" in line
     app(["convert", str(tmp_path / "a.csv"), str(tmp_path / "b.ddr"), "--fill", "neighbour"], standalone_mode=False)
     out = capsys.readouterr().out
-    assert "at nodes of the table that were not measured, the most of 3 incidences; other gaps are filled by neighbour" in out
+    assert "at nodes of the table that were not measured, the most of 3 incidences. Gaps are filled by neighbour" in out
     with pytest.raises(UserError, match=r"c\.ddr: paint: at sigma 0 .* % of the light was not measured"):
         app(["convert", str(tmp_path / "a.csv"), str(tmp_path / "c.ddr"), "--fill", "refuse"], standalone_mode=False)
     assert not (tmp_path / "c.ddr").exists()
@@ -344,7 +344,7 @@ def test_the_rule_of_the_widest_gap_is_in_the_line_of_what_was_not_measured(tmp_
     points = replace(nodes(table()), widest_gap_deg=3.0)
     line = convert(BsdfFile((points,)), tmp_path / "a.ddr").unmeasured_line
     assert line is not None
-    assert "between directions more than 3 deg apart are interpolated and do not count" in line
+    assert "Between measured directions more than 3 deg apart the table is interpolated, and its u is" in line
     assert ".csv" in line
 
 
