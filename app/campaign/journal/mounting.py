@@ -14,6 +14,16 @@ def mounting_text(sample: str, record: SampleMetadataTable) -> str:
     return json.dumps({"sample": sample, **record.given}, ensure_ascii=False)
 
 
+def event_words(kind: str, text: str) -> str:
+    """The text of any event as a person reads it."""
+    if kind != MOUNTED:
+        return text
+    record = json.loads(text)
+    sample, _at = record.pop("sample"), record.pop("mounted_at", None)
+    stated = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in record.items())
+    return f"Mounted {sample}{f': {stated}' if stated else ''}"
+
+
 def read_mounting(text: str, name: str) -> tuple[str, SampleMetadataTable]:
     """The sample and its record of the text of an event. Raises UserError, ValueError, and what a wrong type raises."""
     record = dict(json.loads(text))

@@ -15,6 +15,7 @@ from typing import TypeVar
 import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import scan_plane_deg
+from goniotwin.app.campaign.journal.mounting import event_words
 from goniotwin.app.campaign.journal.place import JournalError
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.plan import Plan
@@ -525,7 +526,7 @@ class Engine:
     def _log_event(self, kind: str, text: str, where: str = "", consequence: str = "", what: str = "") -> None:
         """Write an event to the journal, and show it; `what` is what of the text is neither place nor consequence."""
         self._journal.event(self._clock.now(), kind, text)
-        self._notify(EventLogged(kind, what or text.removeprefix(f"{where}: "), where, consequence))
+        self._notify(EventLogged(kind, what or event_words(kind, text).removeprefix(f"{where}: "), where, consequence))
 
     def _notify(self, event: Event) -> None:
         """Send an event to all listeners. A listener that fails is removed and named in the journal; the run continues."""

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from goniotwin.app.campaign.journal.following import JournalFollower
+from goniotwin.app.campaign.journal.mounting import event_words
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.running.events import EventLogged, RowCommitted
 from goniotwin.app.campaign.running.resume import recorded_rig
@@ -97,7 +98,7 @@ class RunReader:
         events = []
         for _t, kind, text in logged:
             where = drift[0] if drift is not None and text.startswith(f"{drift[0]}: ") else ""
-            events.append(EventLogged(kind, text.removeprefix(f"{where}: "), where))
+            events.append(EventLogged(kind, event_words(kind, text).removeprefix(f"{where}: "), where))
         checks = [each for each in events if is_drift(each)]
         heard = [each.what for each in self._heard]
         past = tuple(each for each in events if attached.busy and not any(what in each.what for what in heard))
