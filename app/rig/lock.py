@@ -61,16 +61,21 @@ class LockFile:
                 self._lock.acquire(GUARDIAN_S)
         except Timeout:
             raise RigInUse(what, _read_note(self._note)) from None
+        self._held = path.stat()
         _write_note(
             self._note, f"process {os.getpid()} of {_user()} on {socket.gethostname()}, since {calendar_stamp()}: {purpose}"
         )
 
     def release(self, *, remove: bool = False) -> None:
-        """Release the lock; `remove` the file too. A second call has no effect."""
+        """Release the lock; `remove` the file too. A second call has no effect.
+
+        Another file in its place, after a person has removed this one, is that of another program: it stays.
+        """
         if self._lock.is_locked:
-            for file in (self._note, self.path) if remove else (self._note,):
-                with contextlib.suppress(OSError):  # Windows removes no open file: an empty one stays
-                    file.unlink()  # of two programs that wait for a removed file, FileLock gives neither the lock
+            with contextlib.suppress(OSError):  # Windows removes no open file: an empty one stays
+                if os.path.samestat(self._held, self.path.stat()):
+                    for file in (self._note, self.path) if remove else (self._note,):
+                        file.unlink()  # of two programs that wait for a removed file, FileLock gives neither the lock
             self._lock.release()
 
 
