@@ -10,6 +10,7 @@ import typer
 
 from goniotwin.app.campaign.campaign import Outcome, resume_campaign, run_campaign
 from goniotwin.app.campaign.journal.chain import Chain
+from goniotwin.app.campaign.journal.summary import SUFFIX
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.running.events import EventLogged, State
@@ -47,6 +48,8 @@ class RunResult:
 
 def run_schedule(schedule: Path, rig: Path, journal: Path, transcript: Path | None, speed: float | None, as_json: bool) -> None:
     """Measure a campaign and print the result. Raises UserError, and Exit where rows are missing."""
+    if journal.suffix != SUFFIX:
+        raise UserError(f"--out {journal}: `runs` and the window find data files by {SUFFIX}; write --out {journal}{SUFFIX}")
     plan = make_plan(read_schedule(schedule), read_rig(rig))
     with (
         RowProgress(error_console(), plan.schedule.file.name, len(plan.rows)) as progress,
