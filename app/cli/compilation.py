@@ -14,7 +14,7 @@ from goniotwin.app.end_signals import end_signal_received
 KERNEL = "goniotwin.twin.optics.kernel"
 """The module that knows where the code is kept: loaded with the first kernel."""
 LOG = logging.getLogger("goniotwin.compilation")
-NOTE = "compiling the optics, once with this version: about a minute for a rehearsal"
+NOTE = "compiling parts of the optics that were not needed before: up to a minute, once with this version"
 FIRST_LOOK_S, LAST_LOOK_S = 0.2, 60.0
 NUMBAS_CACHE = ("numba", "core", "caching.py")
 NOT_KEPT = "compiling the optics, for this command alone: code can be kept nowhere; set NUMBA_CACHE_DIR to a folder of yours"

@@ -299,7 +299,8 @@ def clock() -> Iterator[Finding]:
 def logs() -> Iterator[Finding]:
     """Where the logs of windows and stations are, and the details of unexpected errors."""
     folder = log_folder()
-    names = [each.name for each in (folder / "window.log", folder / "station.log") if each.exists()]
+    kept = (folder / "window.log", folder / "station.log", *sorted(folder.glob("station-*.log"))[-1:])
+    names = [each.name for each in kept if each.exists()]
     faults = len(list(folder.glob("fault-*.txt")))
     text = f"{folder}: {', '.join(names) or 'no window.log and no station.log yet'}"
     yield Finding("logs", "ok", f"{text}, {faults} file{'' if faults == 1 else 's'} about unexpected errors")
