@@ -178,8 +178,7 @@ def test_an_editor_finds_each_import_of_a_clone() -> None:
     found = json.loads(done.stdout)
     assert found["summary"]["filesAnalyzed"] > len(folders())
     unresolved = [each["message"] for each in found["generalDiagnostics"] if each.get("rule") == "reportMissingImports"]
-    # Mitsuba is the extra `render`, which neither `make demo` nor `make test` installs.
-    assert [message for message in unresolved if 'Import "mitsuba"' not in message] == []
+    assert unresolved == []
 
 
 def test_the_links_for_editors_are_the_files_of_the_tree() -> None:

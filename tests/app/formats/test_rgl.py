@@ -176,7 +176,7 @@ def test_mitsuba_draws_directions_without_bias(tmp_path: Path) -> None:
         ),
     )
     measured(tmp_path / "white.bsdf")
-    import mitsuba as mi
+    import mitsuba as mi  # pyright: ignore[reportMissingImports]
 
     plugin: Any = mi.load_dict({"type": "measured", "filename": str(tmp_path / "white.bsdf")})
     at: Any = mi.SurfaceInteraction3f()
