@@ -193,7 +193,7 @@ def _light(plan: NewPlan) -> str:
 
 def _only_for_etalon(result: PlanCheck) -> str:
     only = result.shadowed_only_for_etalon
-    return f", {only} of them only at the etalon, which is lit from the photodiodes' own side" if only else ""
+    return f". Of {only} the etalon's reading alone is blocked: it is lit from the side of the photodiodes" if only else ""
 
 
 def _blocked_by_sigma(result: PlanCheck) -> list[str]:

@@ -42,10 +42,10 @@ class CalibrationFactors:
         if not self.photodiodes:
             yield "no overlap is known well enough to calibrate photodiodes against each other; all factors are 1"
             return
-        verb = "have been multiplied by" if applied else "would be multiplied by (overlap.calibrate is false)"
+        state = "applied to the values" if applied else "not applied, as [overlap] calibrate is false"
         factors = zip(self.photodiodes, self.values, self.uncertainties, strict=True)
         listed = ", ".join(f"{k}: {value:.5f} (u {u:.5f})" for k, value, u in factors)
-        yield f"{self.pairs} overlaps calibrate photodiodes against each other; the values {verb} {listed}"
+        yield f"{self.pairs} overlaps calibrate photodiodes against each other. Factors by photodiode, {state}: {listed}"
         if self.significant:
             yield f"beyond {CERTAIN:.0f} u from 1: photodiodes {', '.join(str(k) for k in self.significant)}"
         if self.unconnected:

@@ -77,7 +77,7 @@ def test_a_photodiode_that_has_faded_by_2_percent_is_reported_and_not_corrected(
     factors = result.overlaps["grey"].factors
     assert factors.significant == [FADED]
     assert factors.of(FADED) == pytest.approx(1.0 / 0.98, abs=0.003)
-    assert any(f"would be multiplied by (overlap.calibrate is false) 0: {factors.of(0):.5f}" in note for note in result.notes)
+    assert any(f"not applied, as [overlap] calibrate is false: 0: {factors.of(0):.5f}" in note for note in result.notes)
     points = result.samples["grey"]
     faded = points.where(points.good & (points.photodiode == FADED))
     assert float(np.mean(faded.bsdf)) / (0.3 / np.pi) == pytest.approx(0.98, abs=0.001)
@@ -100,14 +100,14 @@ def test_calibration_corrects_a_faded_photodiode_within_its_uncertainty(
     # Without angles and heights it would be 0.0021.
     assert float(np.median(points.u_bsdf[points.good] / points.bsdf[points.good])) < 0.005
     assert np.all(points.u_bsdf[points.good] / points.bsdf[points.good] > before.u_bsdf[points.good] / before.bsdf[points.good])
-    assert any("the values have been multiplied by 0:" in note for note in after.notes)
+    assert any("applied to the values: 0: " in note for note in after.notes)
     assert any("beyond 4 u from 1: photodiodes 5" in note for note in after.notes)
     checks = check_journal(path)
     assert checks is not None
     assert any("values have been multiplied by 0.99" in line for line in checks.lines)
     assert json_value(checks)["overlaps"]["grey"]["calibration"]["significant"] == [FADED]
     export(after, None, tmp_path / "a.csv", "csv")
-    assert any("have been multiplied by" in each for each in read_points_csv(tmp_path / "a.csv").comments)
+    assert any("applied to the values: 0: " in each for each in read_points_csv(tmp_path / "a.csv").comments)
 
 
 def test_without_a_fault_the_factors_are_1_within_their_uncertainty(
