@@ -282,6 +282,7 @@ def results(journal: Path) -> dict[str, Any]:
 
     from PySide6.QtWidgets import QApplication
 
+    import goniotwin.app.desktop.results.panels  # noqa: F401  (pyqtgraph: a window has loaded it for the screen Run)
     from goniotwin.app.desktop.results.screen import ResultsScreen
     from goniotwin.app.desktop.theme import LIGHT
 

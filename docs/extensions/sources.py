@@ -29,7 +29,7 @@ class SourceLinks(SphinxTransform):
             elif link.astext() == name:
                 link.replace_self(nodes.literal("", name))
             else:
-                link.replace_self([*link.children, nodes.Text(" ("), nodes.literal("", name), nodes.Text(")")])
+                link.replace_self([*link.children, nodes.Text(" in "), nodes.literal("", name)])
 
 
 def setup(app: Sphinx) -> dict[str, Any]:

@@ -3,8 +3,7 @@
 import numpy as np
 
 from goniotwin import examples
-from goniotwin.app.campaign.measurement_model.lit_share import LitEnsemble, LitModes
-from goniotwin.app.campaign.measurement_model.slopes import Directions, slopes_of
+from goniotwin.app.campaign.measurement_model.kernels import call_kernels
 from goniotwin.app.campaign.planning.path_search import shorten_path
 from goniotwin.app.rig import read_rig
 from goniotwin.protocols.clock import VirtualClock
@@ -74,10 +73,7 @@ def shadows() -> None:
 
 def uncertainties() -> None:
     """Slopes of values, and the lit share of the hole."""
-    same, angles = np.zeros(5, dtype=np.int64), np.linspace(0.1, 0.2, 5)
-    slopes_of(Directions(same, same, same, *[angles] * 6), angles, angles, 0.1)
-    one = np.ones((1, 1))
-    LitModes(LitEnsemble(one, one, one, one[0]), one).quantiles(one, one[0], (0.1, 0.9))
+    call_kernels()
 
 
 def forward() -> None:

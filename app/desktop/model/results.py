@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.measurement_model.kernels import call_kernels
 from goniotwin.app.campaign.reduction.points import FLAGS
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.verification import Verdict, verdicts_text, verify_journal
@@ -183,8 +184,9 @@ class _Work:
         if isinstance(wanted, Check):
             with Journal.open(self._path) as opened:
                 return Checked(number, tuple(verify_journal(evaluate_journal(opened))))
-        if wanted is None and self.steps is None:
-            return None  # the process has started
+        if wanted is None and self.steps is None:  # the process has started: what each journal needs is loaded meanwhile
+            call_kernels()
+            return None
         if wanted is not None:
             self._results = None  # its memory is free for the next one
             self._path, self.steps = wanted, open_in_parts(wanted)
