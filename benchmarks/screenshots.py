@@ -1,15 +1,16 @@
 """Pictures of every screen of the window, and a check that every control is on the screen.
 
-    python -m benchmarks.screenshots DIR [--scale 100 125 150 200] [--scheme light dark]
+    python -m benchmarks.screenshots DIR [--scale 100 125 150 200] [--scheme light dark] [--size 1280x800]
     python -m benchmarks.screenshots docs/pictures --readme      # the pictures of docs/operate/window.md
 
-The window fills a screen of 1280 x 800 pixels at each scale factor, in a process of its own. It is shown before its rig is
+The window fills a screen of so many pixels at each scale factor, in a process of its own. It is shown before its rig is
 open, ready, with a tolerance study, at the bench, in a run of the virtual rig, paused, with a safety order and an open
 question, with notices, after the run, with many campaigns, and after the death of the station; then the windows beside it. A
 control that is not whole on the screen, or a text that is cut off, is printed, and the exit status is then 1.
 """
 
 import argparse
+import json
 import os
 import subprocess
 import sys
@@ -63,8 +64,11 @@ COLOURS = 160
 class Pictures:
     """The pictures of one scale factor."""
 
-    def __init__(self, folder: Path, percent: int, schemes: list[Scheme], journals: Path, names: dict[str, str]) -> None:
+    def __init__(
+        self, folder: Path, percent: int, schemes: list[Scheme], journals: Path, names: dict[str, str], size: tuple[int, int]
+    ) -> None:
         self._folder = folder
+        self._size = size
         self._percent = percent
         self._schemes = schemes
         self._names = names
@@ -78,7 +82,7 @@ class Pictures:
         """Take all pictures."""
         window = self.window
         view, run = window.view, window.view.run
-        window.resize(SCREEN[0] * 100 // self._percent, SCREEN[1] * 100 // self._percent)
+        window.resize(*(side * 100 // self._percent for side in self._size))
         window.show()
         self._each_screen("opening")
         window.complete()
@@ -330,7 +334,7 @@ class Pictures:
                 with Image.open(self._folder / file) as image:
                     few = image.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
                 few.save(self._folder / file, optimize=True)
-            self.faults += [f"{file}: {line}" for line in faults(shown, self._percent)]
+            self.faults += [f"{file}: {line}" for line in faults(shown, self._percent, self._size)]
 
     def _settle(self, seconds: float = 0.0) -> None:
         time.sleep(seconds)
@@ -349,26 +353,41 @@ class Pictures:
             time.sleep(0.01)
 
 
-def of_one_scale(folder: Path, percent: int, schemes: list[Scheme], names: dict[str, str]) -> list[str]:
+def of_one_scale(folder: Path, percent: int, schemes: list[Scheme], names: dict[str, str], size: tuple[int, int]) -> list[str]:
     """Take the pictures of one scale factor in this process; return the faults."""
     application = QApplication(["goniotwin"])
     with TemporaryDirectory(prefix="campaigns-") as journals:
-        pictures = Pictures(folder, percent, schemes, Path(journals), names)
+        pictures = Pictures(folder, percent, schemes, Path(journals), names, size)
         pictures.take()
         application.processEvents()
     return pictures.faults
 
 
-def of_all_scales(folder: Path, percents: list[int], schemes: list[Scheme], more: list[str]) -> Iterator[str]:
+def of_all_scales(
+    folder: Path, percents: list[int], schemes: list[Scheme], more: list[str], size: tuple[int, int]
+) -> Iterator[str]:
     """Take the pictures of each scale factor in a process of its own, with a state folder and a station of its own; yield the
     faults.
     """
     for percent in percents:
-        command = [sys.executable, "-m", "benchmarks.screenshots", str(folder), *more, "--one", str(percent)]
+        command = [
+            sys.executable,
+            "-m",
+            "benchmarks.screenshots",
+            str(folder),
+            *more,
+            "--one",
+            str(percent),
+            "--size",
+            "{}x{}".format(*size),
+        ]
         with TemporaryDirectory() as state:
+            screen = Path(state) / "screen.json"
+            about = {"name": "screen", "x": 0, "y": 0, "width": size[0], "height": size[1], "logicalDpi": 96, "dpr": 1}
+            screen.write_text(json.dumps({"screens": [about | {"logicalBaseDpi": 96}]}), encoding="utf-8")
             environment = {
                 **os.environ,
-                "QT_QPA_PLATFORM": "offscreen",
+                "QT_QPA_PLATFORM": f"offscreen:configfile={screen}",
                 "QT_SCALE_FACTOR": str(percent / 100),
                 "XDG_STATE_HOME": state,
                 "WIN_PD_OVERRIDE_LOCAL_APPDATA": state,
@@ -386,15 +405,17 @@ def main() -> int:
     parser.add_argument("folder", type=Path, metavar="DIR")
     parser.add_argument("--scale", type=int, nargs="+", choices=SCALES, default=list(SCALES), help="in percent")
     parser.add_argument("--scheme", nargs="+", choices=SCHEMES, default=list(SCHEMES))
+    parser.add_argument("--size", default="{}x{}".format(*SCREEN), help="pixels of the screen")
     parser.add_argument("--readme", action="store_true", help="only the pictures of the README, at 100 percent")
     parser.add_argument("--one", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
+    wide, high = map(int, options.size.split("x"))
     if options.one is None:
         scales, more = ([100], ["--readme"]) if options.readme else (options.scale, [])
-        found = list(of_all_scales(options.folder, scales, options.scheme, more))
+        found = list(of_all_scales(options.folder, scales, options.scheme, more, (wide, high)))
     else:
-        found = of_one_scale(options.folder, options.one, options.scheme, README if options.readme else {})
+        found = of_one_scale(options.folder, options.one, options.scheme, README if options.readme else {}, (wide, high))
     for line in found:
         print(line)
     return 1 if found else 0

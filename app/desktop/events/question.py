@@ -9,7 +9,8 @@ from PySide6.QtWidgets import QApplication, QDialog, QGridLayout, QLabel, QLineE
 
 from goniotwin.app.desktop.dialogs import TITLE_BAR, FileDialog
 
-WIDTH = 540
+WIDTH, WIDEST = 540, 760
+"""Width of a question, and of one whose texts a small screen has not the height for."""
 
 
 @dataclass(frozen=True)
@@ -121,9 +122,16 @@ class QuestionBox(QDialog):
         """Make room for all lines: a layout gives a window no more height when texts that wrap come later."""
         layout = self.layout()
         if layout is not None and self.isVisible():
+            self._heading.show()
             layout.activate()
-            height = max(layout.totalHeightForWidth(self.width()), layout.totalMinimumSize().height())
-            self.resize(self.width(), min(height, self.screen().availableGeometry().height() - TITLE_BAR))
+            room = self.screen().availableGeometry()
+            most, width = room.height() - TITLE_BAR, self.width()
+            if layout.totalHeightForWidth(width) > most:
+                width = min(WIDEST, room.width())
+            if layout.totalHeightForWidth(width) > most:
+                self._heading.hide()  # the title bar has it
+                layout.activate()
+            self.resize(width, min(max(layout.totalHeightForWidth(width), layout.totalMinimumSize().height()), most))
 
     def set_refusal(self, reason: str) -> None:
         """Disable the answers, for this reason, but for those that stop; enabled again, the question draws the attention."""

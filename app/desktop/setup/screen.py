@@ -168,7 +168,7 @@ class SetupScreen(Screen):
                 layout.addWidget(part, 1 if part is self._text else 0)
             if column is left:
                 layout.addStretch(1)
-        scroll = QScrollArea()
+        scroll = self._scroll = QScrollArea()
         scroll.setAccessibleName(SCROLLED)
         scroll.setWidget(left)
         scroll.setWidgetResizable(True)
@@ -220,6 +220,9 @@ class SetupScreen(Screen):
     def fit(self, room: QSize) -> None:
         """Leave out the directions where there is little room."""
         self._right.setVisible(room.width() >= NARROW)
+        left = self._scroll.widget()
+        assert left is not None
+        self._scroll.setMinimumWidth(left.minimumSizeHint().width() + self._scroll.verticalScrollBar().sizeHint().width())
         self._columns.setSizes([room.width() * share // 100 for share in SHARES])
 
     def shut_down(self) -> None:

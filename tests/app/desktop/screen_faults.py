@@ -42,10 +42,10 @@ def controls(window: QWidget) -> list[QWidget]:
     return [each for each in found if not isinstance(each, PARTS) and not isinstance(each.parent(), OWNERS)]
 
 
-def faults(window: QWidget, percent: int) -> list[str]:
+def faults(window: QWidget, percent: int, screen: tuple[int, int] = SCREEN) -> list[str]:
     """The controls of a window that are not whole on its screen, and the texts that are cut off; one line each."""
     lines = []
-    if window.width() > SCREEN[0] * 100 // percent or window.height() > SCREEN[1] * 100 // percent:
+    if window.width() > screen[0] * 100 // percent or window.height() > screen[1] * 100 // percent:
         lines.append(f"the window needs {window.width()} x {window.height()} logical pixels")
     for each in controls(window):
         if _hidden_part(window, each):
@@ -57,8 +57,9 @@ def faults(window: QWidget, percent: int) -> list[str]:
 
 
 def _hidden_part(window: QWidget, control: QWidget) -> bool:
-    if any(each.accessibleName() == SCROLLED and each.isAncestorOf(control) for each in window.findChildren(QScrollArea)):
-        return False  # Tab scrolls to it
+    for area in window.findChildren(QScrollArea):
+        if area.accessibleName() == SCROLLED and area.isAncestorOf(control):  # Tab scrolls to it, up and down
+            return control.mapTo(area.viewport(), control.rect().topRight()).x() >= area.viewport().width()
     place = QRect(control.mapTo(window, control.rect().topLeft()), control.size())
     return not window.rect().contains(place) or control.visibleRegion().boundingRect() != control.rect()
 
