@@ -107,12 +107,13 @@ def quadrature(points: MeasuredRings, symmetry: StatedSymmetry) -> Quadrature:
     shares = [_azimuth_shares(azimuth[here], good[here], folded) for here in on_ring]
     gaps = np.where(rings > 0.0, [gap for _, _, gap in shares], 0.0)
     with_value = np.array([bool(good[here].any()) for here in on_ring])
-    # A few directions outside the rings of a campaign, as those of an overlap are, are no ring.
-    dense = with_value & (gaps <= WIDEST_AZIMUTH_DEG)
-    if np.count_nonzero(dense) > 1:
-        with_value = dense
-    all_rings, _ = _ring_weights(rings)
-    inside, beyond = np.zeros(rings.size), np.zeros(rings.size)
+    # A few directions outside the rings of a campaign, as those of an overlap or near the specular direction, are no ring.
+    dense = gaps <= WIDEST_AZIMUTH_DEG
+    if np.count_nonzero(with_value & dense) < 2:
+        dense[:] = True
+    with_value &= dense
+    all_rings, inside, beyond = np.zeros(rings.size), np.zeros(rings.size), np.zeros(rings.size)
+    all_rings[dense], _ = _ring_weights(rings[dense])
     inside[with_value], beyond[with_value] = _ring_weights(rings[with_value])
     weight, obstructed, extrapolated = (np.zeros(polar.size) for _ in range(3))
     for k in np.flatnonzero(with_value).tolist():

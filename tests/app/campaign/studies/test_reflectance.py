@@ -73,6 +73,17 @@ def test_a_few_directions_outside_the_rings_do_not_count() -> None:
     assert result.weight.sum() == pytest.approx(np.pi, rel=1e-9)
 
 
+def test_finer_directions_near_the_specular_direction_leave_nothing_unmeasured() -> None:
+    """They are on rings of their own, which go round nowhere: the others are as whole as without them."""
+    zenith, azimuth = _grid(np.arange(0.0, 86.0, 5.0), np.arange(0.0, 181.0, 10.0))
+    finer, about = _grid(np.arange(22.5, 40.0, 5.0), np.array([170.0, 175.0, 180.0]))
+    points = _points(np.append(zenith, finer), np.append(azimuth, about), np.full(zenith.size + finer.size, 0.2))
+    result = quadrature(points, "isotropic")
+    assert result.hemisphere
+    assert not result.obstructed.any()
+    assert result.weight.sum() == pytest.approx(np.pi, rel=1e-9)
+
+
 def test_blocked_directions_and_those_beyond_the_last_ring_are_stated() -> None:
     zenith, azimuth = _grid(np.arange(0.0, 81.0, 5.0), np.arange(0.0, 360.0, 15.0))
     blocked = (azimuth == 30.0) & (zenith > 20.0)
