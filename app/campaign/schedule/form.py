@@ -24,6 +24,8 @@ from goniotwin.app.toml_file import json_schema, parse_toml
 from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG
 
 NUMBER = r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?"
+ONE_OR_TWO = re.compile(r"([-+]?\d+),(\d+)")
+"""A comma without a blank: a decimal comma, or between two numbers."""
 RANGE = re.compile(rf"({NUMBER})\s+to\s+({NUMBER})\s+step\s+({NUMBER})")
 
 
@@ -94,6 +96,9 @@ class FormField:
         words = [*self.choices, *(each["const"] for each in schema.get("oneOf", ()) if "const" in each)]
         if schema.get("type") == "string" or typed in words:
             return literal(typed)
+        if (found := ONE_OR_TWO.fullmatch(typed)) is not None:
+            one, two = (mark.join(found.groups()) for mark in (".", ", "))
+            raise UserError(f"{self.label}: {typed!r} may be one number or two; write {one} or {two}")
         parts = [part.strip() for part in typed.split(",")]
         if schema.get("type") == "array":
             return literal(parts)

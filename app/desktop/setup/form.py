@@ -19,13 +19,14 @@ class ScheduleForm(QWidget):
 
     edited = Signal(str)
     refused = Signal(str)
-    """Why what was typed is no value."""
+    """Why what was typed is no value; empty once it is corrected."""
 
     def __init__(self, colours: Colours) -> None:
         super().__init__()
         self.setAccessibleName("Form of the schedule")
         self._colours = colours
         self._text, self._name = "", ""
+        self._refused: dict[str, tuple[str, str]] = {}
         self.fields: dict[str, QLineEdit | QComboBox] = {}
         self._declared: dict[str, FormField] = {}
         self._layout = QFormLayout(self)
@@ -38,6 +39,16 @@ class ScheduleForm(QWidget):
         """The first sample of the schedule; empty without one."""
         field = self.fields.get("samples")
         return field.text().partition(",")[0] if isinstance(field, QLineEdit) else ""
+
+    @property
+    def refusal(self) -> str:
+        """Why what stands in a field is no value; empty if every field has that of the text."""
+        return next((reason for reason, _ in self._refused.values()), "")
+
+    def discard(self) -> None:
+        """Show the text's value in each field again."""
+        for key in list(self._refused):
+            self._mark(key, "", "")
 
     def complete(self) -> None:
         """Make the fields, which the schedule's tables declare."""
@@ -67,25 +78,49 @@ class ScheduleForm(QWidget):
                 shown = self._declared[key].shown(text, name)
             except UserError:
                 return
+            if key in self._refused and self._refused[key][1] != shown:
+                self._mark(key, "", "")  # the text has another value by now
             if isinstance(field, QComboBox):
                 field.setCurrentText(shown)
-            elif field.text() != shown and not field.hasFocus():
+            elif field.text() != shown and not field.hasFocus() and key not in self._refused:
                 field.setText(shown)
 
     def _edit(self, key: str) -> None:
-        field = self.fields[key]
+        field, declared = self.fields[key], self._declared[key]
         typed = field.currentText() if isinstance(field, QComboBox) else field.text()
+        before = self.refusal
         try:
-            edited = self._declared[key].edited(self._text, typed, self._name)
+            edited = declared.edited(self._text, typed, self._name)
         except UserError as error:
-            self.refused.emit(str(error))
-            return
-        if edited != self._text:
-            self.edited.emit(edited)
+            self._mark(key, str(error), self._shown(key))
+        else:
+            self._mark(key, "", "")
+            if edited != self._text:
+                self.edited.emit(edited)
+        if self.refusal != before:
+            self.refused.emit(self.refusal)
+
+    def _shown(self, key: str) -> str:
+        try:
+            return self._declared[key].shown(self._text, self._name)
+        except UserError:
+            return ""
+
+    def _mark(self, key: str, reason: str, shown: str) -> None:
+        """Mark a field whose content is refused for a reason, beside the value that the text has; or unmark it."""
+        if reason:
+            self._refused[key] = reason, shown
+        else:
+            self._refused.pop(key, None)
+        self.fields[key].setStyleSheet(f"border: 2px solid {self._colours.bad}" if reason else "")
+        self.fields[key].setToolTip(reason or self._declared[key].help)
 
 
 class NewSchedule(QDialog):
-    """The questions of a new schedule, as `goniotwin new` asks them. It blocks nothing; `chosen` has a `TemplateChoice`."""
+    """The questions of a new schedule, as `goniotwin new` asks them. It blocks nothing; `chosen` has a `TemplateChoice`.
+
+    It stays until the schedule is written (`accept`), or `show_error` says why it is not.
+    """
 
     def __init__(
         self, parent: QWidget, samples: tuple[str, ...], sample: str, chosen: "Callable[[TemplateChoice], None]"
@@ -135,9 +170,13 @@ class NewSchedule(QDialog):
             try:
                 numbers.append(float(field.text()))
             except ValueError:
-                self._error.setText(f"{field.accessibleName()}: {field.text()!r} is no number; write one such as 0.01 or 4")
+                self.show_error(f"{field.accessibleName()}: {field.text()!r} is no number; write one such as 0.01 or 4")
                 field.setFocus()
                 return
         sample, etalon = self.sample.currentText().strip(), self.etalon.currentText().strip()
+        self._error.setText("The directions are being chosen …")
         self._chosen(self._make(str(self.template.currentData()), sample, etalon, *numbers))
-        self.accept()
+
+    def show_error(self, reason: str) -> None:
+        """Show why there is no such schedule."""
+        self._error.setText(f"✗ {reason}")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QSize, Qt, QTimer, Signal, Slot
-from PySide6.QtGui import QColor, QFontDatabase, QTextCursor
+from PySide6.QtGui import QColor, QFontDatabase, QKeyEvent, QTextCursor
 from PySide6.QtWidgets import (
     QComboBox,
     QFrame,
@@ -107,6 +107,7 @@ class SchedulePanel(QGroupBox):
     def set_unsaved(self, path: Path | None, *, unsaved: bool) -> None:
         """Show whether the text differs from the file `path`, or has none yet."""
         show_path(self._path, path or Path(NEW_NAME), "● not saved: " if unsaved else "")
+        self._size.setHidden(unsaved or path is None)  # it is that of the file
         if path is None and unsaved:
             self._name.setText("new schedule")
             self._path.show()
@@ -115,6 +116,17 @@ class SchedulePanel(QGroupBox):
         """Show the folder of data files."""
         show_path(self._folder, folder, "Data files (journals) in ")
         self.folder_shown.emit(folder)
+
+
+class ScheduleText(QPlainTextEdit):
+    """The text of a schedule. A letter with Alt is that of a control, also of one that is disabled, and no part of the text."""
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Leave letters with Alt alone; Qt calls it."""
+        if event.modifiers() == Qt.KeyboardModifier.AltModifier and event.text().isprintable():
+            event.ignore()
+        else:
+            super().keyPressEvent(event)
 
 
 class SetupScreen(Screen):
@@ -138,11 +150,12 @@ class SetupScreen(Screen):
         self.drafted: Drafted | None = None
         self._planner: DraftPlanner | None = None
         self._preview: DirectionsView | None = None
+        self._new: NewSchedule | None = None
         self._rig: RigOpened | None = None
         self._samples: tuple[str, ...] = ()
         self._path: Path | None = None
         self._saved, self._planned, self._line_end = "", "", "\n"
-        self._text = QPlainTextEdit()
+        self._text = ScheduleText()
         self._text.setAccessibleName("Text of the schedule file")
         self._text.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
         self._text.setTabChangesFocus(True)
@@ -186,7 +199,7 @@ class SetupScreen(Screen):
         self._pause.timeout.connect(self._plan)
         self._text.textChanged.connect(self._take_text)
         self.form.edited.connect(self._replace_text)
-        self.form.refused.connect(lambda reason: self._show_error(reason, None))
+        self.form.refused.connect(self._show_refusal)
         self.schedule.plan_shown.connect(self._show_plan)
         self.schedule.new_button.clicked.connect(lambda: self._ask_template())
         self.schedule.save_button.clicked.connect(lambda: self.save())
@@ -269,6 +282,7 @@ class SetupScreen(Screen):
         with contextlib.suppress(OSError):  # a text has one kind of line end, whatever its file has
             self._line_end = "\r\n" if b"\r\n" in self._path.read_bytes() else "\n"
         if self.text != plan.schedule.text:
+            self.form.discard()
             self._text.setPlainText(plan.schedule.text)
         self._saved = self._planned = self.text
         self._take_text()
@@ -280,8 +294,20 @@ class SetupScreen(Screen):
         self.schedule.save_button.setEnabled(self.unsaved)
         self.schedule.set_unsaved(self._path, unsaved=self.unsaved)
         self.schedule.copy_button.setEnabled(bool(self.text))
-        self.unsaved_changed.emit(UNSAVED if self.unsaved else READ_AGAIN if self.text != self._planned else "")
+        self._report_unsaved()
         self._pause.start()
+
+    def _report_unsaved(self) -> None:
+        """Report why the schedule cannot be started as it is."""
+        unsaved = UNSAVED if self.unsaved else READ_AGAIN if self.text != self._planned else ""
+        self.unsaved_changed.emit(self.form.refusal or unsaved)
+
+    @Slot(str)
+    def _show_refusal(self, reason: str) -> None:
+        self._show_error(reason, None)
+        self._report_unsaved()
+        if not reason:
+            self._pause.start()
 
     @Slot(str)
     def _replace_text(self, text: str) -> None:
@@ -301,15 +327,22 @@ class SetupScreen(Screen):
 
     @Slot(object)
     def _show_draft(self, drafted: "Drafted") -> None:
-        if drafted.of_template and not drafted.error:
+        if drafted.of_template and drafted.error:
+            if self._new is not None:
+                self._new.show_error(drafted.error)
+            return
+        if drafted.of_template:
+            if self._new is not None:
+                self._new.accept()
             self._path, self._saved = None, ""
+            self.form.discard()
             self._text.setPlainText(drafted.text)
             self.reported.emit("; ".join(["A new schedule. Save it to measure it", *drafted.notes]), False)
             return
-        if not drafted.of_template and drafted.text != self.text:
+        if drafted.text != self.text:
             return  # another key was pressed meanwhile; its text is planned next
         before_maps = () if self.drafted is None else self.drafted.maps
-        self._show_error(drafted.error, drafted.line)
+        self._show_error(self.form.refusal or drafted.error, drafted.line)
         if drafted.error:
             self.drafted = replace(drafted, maps=before_maps)
             return  # the directions stay those of the last plan
@@ -347,7 +380,12 @@ class SetupScreen(Screen):
                 self._planner.make(choice, Path(NEW_NAME), self._rig)
 
         measured = self.form.sample
-        self.leave(lambda: NewSchedule(self.window(), self._samples, measured, chosen).show())
+
+        def ask() -> None:
+            self._new = NewSchedule(self.window(), self._samples, measured, chosen)
+            self._new.show()
+
+        self.leave(ask)
 
     def leave(self, then: Callable[[], object]) -> None:
         """Do what takes the text away: at once, or after a question where it is not saved. Blocks nothing."""
@@ -356,12 +394,12 @@ class SetupScreen(Screen):
             return
 
         def discard() -> None:
+            self.form.discard()
             self._text.setPlainText(self._saved)
             then()
 
-        ask_to_replace(
-            self.window(), "Discard the changes of the schedule?", "They are not saved (Ctrl+S).", discard, "Discard"
-        )
+        title, text = "Discard the changes of the schedule?", "They are not saved. Cancel, then Ctrl+S saves them."
+        ask_to_replace(self.window(), title, text, discard, "Discard", "The changes are lost")
 
     def _ask_copy(self) -> None:
         name = NEW_NAME if self._path is None else f"{self._path.stem}-copy.toml"
@@ -384,6 +422,9 @@ class SetupScreen(Screen):
     def save(self, path: Path | None = None) -> None:
         """Write the text to its file, or to another one, which is then opened. Without a file one is asked for."""
         path = path or self._path
+        if self.form.refusal:
+            self.reported.emit(f"Not saved: {self.form.refusal}", True)
+            return
         if path is None or path.is_relative_to(EXAMPLES):
             self._ask_copy()
             return

@@ -4,6 +4,8 @@ import shutil
 from pathlib import Path
 
 import pytest
+from PySide6.QtCore import QEvent, Qt
+from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QApplication, QComboBox, QFileDialog, QLineEdit
 from pytestqt.qtbot import QtBot
 
@@ -101,9 +103,42 @@ def test_what_is_typed_into_the_text_is_in_the_form_and_an_error_has_its_line(qt
     screen._text.setPlainText(text)
     planned(qtbot, screen)
     assert screen.error == ""
-    enter(screen, "sigma_deg", "thirty")
-    assert "'thirty' is neither numbers nor a range" in screen.error
+
+
+def test_what_is_no_value_stays_marked_and_is_neither_saved_nor_started(qtbot: QtBot, window: MainWindow) -> None:
+    screen, start = screen_of(window), window.view.run.start_button
+    text = screen.text
+    no_number, two = "is neither numbers nor a range", "may be one number or two; write 22.5 or 22, 5"
+    for typed, reason in (("thirty", no_number), ("22,5", two)):
+        enter(screen, "sigma_deg", typed)
+        screen._plan()
+        planned(qtbot, screen)
+        assert f"{typed!r} {reason}" in screen.error
+        assert reason in start.toolTip()
+        assert not start.isEnabled()
+        enter(screen, "readings", "3")  # another field is taken, and this one stays as it was typed
+        assert f"{typed!r} {reason}" in screen.error
+        field = screen.form.fields["sigma_deg"]
+        assert isinstance(field, QLineEdit)
+        assert field.text() == typed
+        screen.save()
+        assert f"Not saved: Sigma (incidence), deg: {typed!r}" in window.view.status
+        assert screen.unsaved
+        enter(screen, "readings", "2")
     assert screen.text == text
+    enter(screen, "sigma_deg", "30, 60")
+    planned(qtbot, screen)
+    assert screen.error == ""
+    qtbot.waitUntil(start.isEnabled, timeout=READY_MS)
+
+
+def test_a_letter_with_alt_is_no_part_of_the_text(window: MainWindow) -> None:
+    screen = screen_of(window)
+    text = screen.text
+    screen._text.setFocus()
+    for modifier in (Qt.KeyboardModifier.AltModifier, Qt.KeyboardModifier.NoModifier):
+        QApplication.sendEvent(screen._text, QKeyEvent(QEvent.Type.KeyPress, Qt.Key.Key_S, modifier, "s"))
+    assert screen.text == "s" + text
 
 
 def test_a_new_schedule_is_written_by_keys_saved_and_ready_to_start(qtbot: QtBot, window: MainWindow, tmp_path: Path) -> None:
@@ -116,6 +151,10 @@ def test_a_new_schedule_is_written_by_keys_saved_and_ready_to_start(qtbot: QtBot
     box.longest_h.setText("long")
     box._accept()
     assert "'long' is no number" in box._error.text()
+    box.longest_h.setText("-1")
+    box._accept()
+    qtbot.waitUntil(lambda: "✗" in box._error.text(), timeout=READY_MS)
+    assert box.isVisible()
     box.longest_h.setText("0.1")
     box._accept()
     qtbot.waitUntil(lambda: "[target]" in screen.text, timeout=READY_MS)
