@@ -14,7 +14,7 @@ from goniotwin.app.desktop.run.panel import STOP_KEY
 if TYPE_CHECKING:
     from goniotwin.app.campaign.running.events import SafetyOrder
 
-KEEP_MEASURING, STOP_AND_CLOSE = "Keep measuring", "Stop and close"
+KEEP_MEASURING, STOP_AND_CLOSE = "Close the window", "Stop and close"
 KEEP_OPEN, ACKNOWLEDGE = "Keep open", "Acknowledge"
 
 
@@ -79,7 +79,7 @@ class CloseQuestion(QObject):
 
     def _ask_about_run(self) -> None:
         choices = [
-            Choice(KEEP_MEASURING, "The window closes, the run goes on. The next window shows it again.", default=True),
+            Choice(KEEP_MEASURING, "The run goes on. The next window shows it again.", default=True),
             Choice(STOP_AND_CLOSE, f"{EFFECTS[Answer.STOP]} Then the window closes.", stops=True),
             Choice(KEEP_OPEN, "The window stays open."),
         ]

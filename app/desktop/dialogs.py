@@ -42,6 +42,7 @@ class FileDialog(QFileDialog):
     ) -> None:
         """Show it: `first` is the folder, or the file to `save` to; without `kinds` a folder is chosen."""
         super().__init__(parent, title)
+        self._title = title
         self.setOption(QFileDialog.Option.DontUseNativeDialog)
         self.setOption(QFileDialog.Option.DontConfirmOverwrite)  # that question would block
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
@@ -61,6 +62,15 @@ class FileDialog(QFileDialog):
             field.setAccessibleName("File name")
         self.show()
         self.resize(self.width(), min(self.height(), self.screen().availableGeometry().height() - TITLE_BAR))
+
+    def accept(self) -> None:
+        """Choose what was typed or picked; Qt calls it. Its own answer to a name that is not there would block."""
+        name = next(iter(self.selectedFiles()), "")
+        if self.acceptMode() is QFileDialog.AcceptMode.AcceptOpen and not Path(name).exists():
+            self.setWindowTitle(f"{self._title}: there is no {Path(name).name}")
+        else:
+            self.setWindowTitle(self._title)
+            super().accept()
 
     def add_field(self, label: str, field: QLineEdit) -> None:
         """Show a field, which may stay empty, below the name of the file."""

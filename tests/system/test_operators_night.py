@@ -130,7 +130,7 @@ def test_an_operators_night(
 
     # The window is closed; the run goes on; the next one shows all of it.
     window.press("Ctrl+Q")
-    window.answer("Close the window?", "Keep measuring")
+    window.answer("Close the window?", "Close the window")
     assert window.wait_for_end() == 0, window.errors
     until(lambda: campaign_summary(journal).rows > done)
     window = open_window(*arguments)

@@ -91,11 +91,12 @@ class QuestionBox(QDialog):
         return f"{self._heading.text()}: {self._text.text()}"
 
     def appear(self) -> None:
-        """Show the question, and draw the attention to it."""
+        """Show the question, and draw the attention to it; the keys stay with another dialog in which a person is."""
+        active = QApplication.activeWindow()
         self.show()
         self._fit()
         self.raise_()
-        self.activateWindow()
+        (active if isinstance(active, QDialog) and active.isVisible() else self).activateWindow()
         QApplication.alert(self)
         QApplication.beep()
 

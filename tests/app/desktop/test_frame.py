@@ -42,6 +42,7 @@ from goniotwin.app.desktop.bench.screen import BenchScreen
 from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
 from goniotwin.app.desktop.dialogs import FileDialog
 from goniotwin.app.desktop.events.panels import NOTICES, LogEntry
+from goniotwin.app.desktop.events.question import Choice, QuestionBox
 from goniotwin.app.desktop.events.screen import EventsScreen
 from goniotwin.app.desktop.file_chooser import FileChooser
 from goniotwin.app.desktop.menu import about_text
@@ -210,6 +211,35 @@ def test_the_keys_of_stop_hold_in_the_windows_beside_the_main_one(qtbot: QtBot, 
         qtbot.waitUntil(lambda: not run.stop_button.isDown())
         assert box not in QApplication.topLevelWidgets() or not box.isVisible()
     assert chosen == [tmp_path / "a.csv"]
+
+
+def test_a_name_that_is_not_there_blocks_nothing(frame: MainWindow, tmp_path: Path) -> None:
+    chosen: list[Path] = []
+    dialog = FileDialog(frame, "Open", tmp_path, "Table (*.csv)", chosen.append)
+    (name,) = dialog.findChildren(QLineEdit, "fileNameEdit")
+    name.setText("nothing.csv")
+    dialog.accept()
+    assert QApplication.activeModalWidget() is None
+    assert dialog.isVisible()
+    assert dialog.windowTitle() == "Open: there is no nothing.csv"
+    (tmp_path / "there.csv").touch()
+    name.setText("there.csv")
+    dialog.accept()
+    assert chosen == [tmp_path / "there.csv"]
+
+
+def test_a_question_leaves_the_keys_to_a_dialog_in_which_a_person_is(qtbot: QtBot, frame: MainWindow) -> None:
+    choices = (Choice("Yes", ""), Choice("No", "", default=True))
+    first = QuestionBox(frame, "First", "", choices)
+    qtbot.waitUntil(lambda: QApplication.activeWindow() is first)
+    second = QuestionBox(frame, "Second", "", choices)
+    qtbot.wait(50)
+    qtbot.waitUntil(lambda: QApplication.activeWindow() is first)
+    assert second.isVisible()
+    first.dismiss()
+    second.appear()
+    qtbot.waitUntil(lambda: QApplication.activeWindow() is second)
+    second.dismiss()
 
 
 def test_the_words_of_the_wire_are_in_the_tool_tip_of_an_event_and_of_a_device(frame: MainWindow) -> None:
