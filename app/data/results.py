@@ -193,7 +193,7 @@ class Results:
             disc, residual = comparison.describe_light(found, here, plane, x)
             compared = np.full((3, here.size), math.nan)
             compared[:, found.index] = found.second, found.u_second, found.z
-            about = f"second: {name}; {found}"
+            about = f"blue: this file; orange: {name}; {found}"
         drawn = disc.map
         assert drawn is not None
         area = surface(drawn)
@@ -227,7 +227,8 @@ class Results:
             if view.picture == "lobe":
                 return *none, None, ""
             if view.picture == "polar":
-                return *none, _of_one_curve(polar.describe(here, None).panels[0]), ""
+                figure = polar.describe(here, None)
+                return *none, replace(_of_one_curve(figure.panels[0]), legend=figure.legend), ""
             if view.picture == "spectrum":
                 return *none, _of_one_curve(self._spectrum(here, view.light, at)), ""
             turn = float(around_deg(here)[at]) % HALF_TURN_DEG if view.picture == "cursor" else 0.0

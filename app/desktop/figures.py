@@ -47,6 +47,8 @@ PIXELS_A_POINT = 4.0 / 3.0
 LINEAR = Scale("linear", 0.0, 1.0)
 SPOKES_DEG, PIXELS_OF_RING = range(-90, 91, 30), 40.0
 """Spokes of a polar panel on the side of the light, and the least distance of two of its circles."""
+ANGLES_AT = 1.06
+"""Where the angles of the spokes are, over the outermost circle."""
 ORDER: tuple[MarkKind, ...] = tuple(MARKS)
 """The later ones are above."""
 
@@ -184,13 +186,18 @@ class PanelItems:
             self._halos[kind].setData(x, y)
 
     def _show_texts(self, panel: Panel) -> None:
-        """Show the values of the circles of a polar panel."""
+        """Show the values of the circles of a polar panel, and the angles of its spokes."""
         for each in self._texts:
             self._plot.removeItem(each)
         self._texts = []
-        for radius, text in rings(panel) if panel.projection == "polar" else ():
-            item = pg.TextItem(text, color=self._palette.dim, anchor=(0.0, 0.5))
-            item.setPos(0.0, radius)
+        if panel.projection != "polar":
+            return
+        outside = ANGLES_AT * (panel.y.limits or (0.0, 1.0))[1]
+        angles = [(outside * np.sin(at), outside * np.cos(at), f"{deg}°") for deg in SPOKES_DEG for at in (np.radians(deg),)]
+        for x, y, text in [*((0.0, radius, text) for radius, text in rings(panel)), *angles]:
+            item = pg.TextItem(text, color=self._palette.dim, anchor=(0.5, 0.5), fill=self._palette.base)
+            item.setPos(x, y)
+            item.setZValue(5.5)  # above the lines, below the marks
             self._texts.append(item)
             self._plot.addItem(item, ignoreBounds=True)
 

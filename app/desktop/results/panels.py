@@ -20,6 +20,8 @@ from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG
 
 STEPS = {Qt.Key.Key_Left: (-1, 0), Qt.Key.Key_Right: (1, 0), Qt.Key.Key_Up: (0, 1), Qt.Key.Key_Down: (0, -1)}
 SIGNS: dict[MarkKind, str] = {"lost": "•", "below": "▽", "blocked": "○", "untrusted": "×"}
+MARGIN, POLAR_MARGIN = 0.05, 0.1
+"""Room beside a spectrum, and about a polar diagram for the texts of its angles, over their width."""
 CURSOR = 15
 """Diameter of the cursor's ring on the map."""
 RINGS = ((DISC.base, 5), (DISC.text, 2))
@@ -166,13 +168,14 @@ class ResultPlot(QWidget):
         self._axis.set_value_scale(scale)
         if flat and panel.y.limits is not None:
             outer = panel.y.limits[1]
-            plot.setRange(xRange=(-outer, outer), yRange=(-outer if panel.angles else 0.0, outer), padding=0.03)
+            plot.setRange(xRange=(-outer, outer), yRange=(-outer if panel.angles else 0.0, outer), padding=POLAR_MARGIN)
         else:
-            for limits, of, set_range in ((panel.x.limits, LINEAR, plot.setXRange), (panel.y.limits, scale, plot.setYRange)):
-                if limits is not None:
-                    set_range(*of.transform(np.array(limits)).tolist(), padding=0.0)
-                else:
-                    plot.enableAutoRange("x")
+            self._angles.of_angles = panel.x.limits is not None
+            known = np.concatenate([np.zeros(1) if not panel.series else panel.series[0].x, *(each.x for each in panel.series)])
+            ends = panel.x.limits or (float(known.min()), float(known.max()))
+            plot.setXRange(*ends, padding=0.0 if panel.x.limits else MARGIN)
+            if panel.y.limits is not None:
+                plot.setYRange(*scale.transform(np.array(panel.y.limits)).tolist(), padding=0.0)
         if shown.residual is not None:
             self._items[1].show(shown.residual)
             below.setXRange(*ANGLE_LIMITS, padding=0.0)

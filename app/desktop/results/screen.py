@@ -327,7 +327,14 @@ class ResultsScreen(Screen):
             if self.wanted is not None:
                 self._show(self.wanted._replace(other=path))
 
-        FileDialog(self, "Compare with a journal or a file of values", self._folder, "All files (*)", chosen)
+        def cancelled() -> None:
+            others = (None, model.THEORY, model.PREDICTION)
+            shown = None if self.wanted is None else self.wanted.other
+            self.comparison.setCurrentIndex(others.index(shown) if shown in others else len(others))
+
+        FileDialog(self, "Compare with a journal or a file of values", self._folder, "All files (*)", chosen).rejected.connect(
+            cancelled
+        )
 
     def _show(self, view: "View") -> None:
         """Ask for a view, with the cursor where it is."""

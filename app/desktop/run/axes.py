@@ -61,13 +61,20 @@ class ResidualAxis(pg.AxisItem):
 
 
 class AngleAxis(pg.AxisItem):
-    """The axis of angles: texts at 30, 10 or 5 deg where pyqtgraph has 50, at finer steps in a part of the scan."""
+    """The axis of angles: texts at 30, 10 or 5 deg where pyqtgraph has 50, at finer steps in a part of the scan.
+
+    With `of_angles` off it is one of another quantity, as pyqtgraph has it.
+    """
 
     def __init__(self) -> None:
         super().__init__("bottom", maxTextLevel=0)
+        self.enableAutoSIPrefix(False)
+        self.of_angles = True
 
     def tickSpacing(self, minVal: float, maxVal: float, size: float) -> list[tuple[float, float]]:
         """The distance of the texts, and that of the ticks between them; each with an offset (pyqtgraph calls it)."""
+        if not self.of_angles:
+            return super().tickSpacing(minVal, maxVal, size)  # type: ignore[no-any-return]
         pixels = size / max(maxVal - minVal, 1e-9)
         steps = [each for each in ANGLE_STEPS_DEG if each * pixels >= PIXELS_OF_TICK]
         texts = [each for each in steps if each * pixels >= PIXELS_OF_ANGLE] or list(ANGLE_STEPS_DEG[:1])

@@ -40,7 +40,7 @@ def test_formula_5_is_that_of_the_paper() -> None:
     assert math.isnan(result.lights[0].chi_square)
     assert result.notes == ("neither of the two has uncertainties: there is no z and no chi-square",)
     assert "nan" not in str(result)
-    assert str(result).splitlines()[1] == "sigma 0 deg: 70.7 % over 2 directions"
+    assert str(result).splitlines()[1] == "sigma 0 deg: relative RMS 70.7 % over 2 directions"
 
 
 def test_a_direction_that_both_have_twice_is_compared_value_by_value() -> None:

@@ -80,7 +80,7 @@ def test_a_comparison_has_the_deviations_that_compare_gives(dataset: Dataset, jo
     np.testing.assert_array_equal(shown.compared[2, found.index], found.z)
     np.testing.assert_array_equal(shown.compared[0, found.index], found.second)
     assert np.isnan(np.delete(shown.compared[2], found.index)).all()
-    assert f"chi-square {found.chi_square:.4g} of {found.degrees}" in shown.about
+    assert f"chi-square with the covariance {found.chi_square:.4g} of {found.degrees}" in shown.about
     assert shown.map.bar.colours == "deviations"
     assert shown.residual is not None
     drawn = np.concatenate([each.y for each in shown.residual.series])

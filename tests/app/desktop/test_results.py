@@ -236,6 +236,9 @@ def test_pictures_a_comparison_and_the_checks_are_chosen_by_keys(
         assert screen.shown is not None
         assert screen.shown.view.picture == picture
         screen.grab()
+        if picture == "spectrum" and screen.shown.beside is not None:
+            (low, high), _ = plot.keys.view.getPlotItem().vb.viewRange()
+            assert min(screen.shown.beside.series[0].x) - 20.0 < low < high < max(screen.shown.beside.series[0].x) + 20.0
     assert lobe.isVisible()
     assert lobe.accessibleDescription().startswith("The directions span no area")  # all are in the plane of incidence
     screen.picture.setCurrentIndex(0)
