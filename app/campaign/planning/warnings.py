@@ -46,7 +46,7 @@ def plan_warnings(plan: NewPlan, arcs: list[ArcDirections]) -> list[str]:
         *_saturated_open_beam(plan),
         *scan_notes(plan.schedule.file, plan.rig.file),
         *_second_order(plan),
-        *_uncertain_duration(plan),
+        *uncertain_duration(plan),
         *beyond_longest(plan.schedule.file, plan.seconds),
         *plan.rig.alignment_notes,
     ]
@@ -215,7 +215,7 @@ def _second_order(plan: NewPlan) -> Iterator[str]:
     )
 
 
-def _uncertain_duration(plan: NewPlan) -> Iterator[str]:
+def uncertain_duration(plan: NewPlan) -> Iterator[str]:
     """A warning if the duration depends on the sample or the lamp."""
     file = plan.schedule.file
     unknown = [

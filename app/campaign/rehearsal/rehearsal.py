@@ -13,7 +13,7 @@ from pathlib import Path
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import NewPlan, Plan, make_plan
-from goniotwin.app.campaign.planning.warnings import beyond_longest
+from goniotwin.app.campaign.planning.warnings import beyond_longest, uncertain_duration
 from goniotwin.app.campaign.rehearsal.assumed_references import assume_referenced
 from goniotwin.app.campaign.rehearsal.blocks import OTHER_TIMES, divide, run_blocks, statistics_of, why_in_one_process
 from goniotwin.app.campaign.rehearsal.expected_poses import expected_poses
@@ -142,7 +142,8 @@ def rehearse(
         path = out if out is not None else Path(folder) / "rehearsal.journal"
         run = run_in_processes(plan, path, statistics, listeners or [], processes)
         file, rig = plan.schedule.file, plan.rig.file
-        estimate = {*beyond_longest(file, plan.seconds)}  # its place is taken by the duration of the run
+        # Their place is taken by the duration of the run.
+        estimate = {*beyond_longest(file, plan.seconds), *uncertain_duration(plan)}
         planned = [each for each in check_plan(plan).warnings if each not in estimate]
         warnings, missed = [*planned, *rehearsal_warnings(plan, statistics)], list[str]()
         heading = f"SIMULATED: {plan.schedule.file.name} rehearsed on {plan.rig.file.name}; nothing here is real"

@@ -7,7 +7,7 @@ from html import escape
 
 from goniotwin.app.campaign.rehearsal.forecast import SpreadSummary
 from goniotwin.app.campaign.rehearsal.rehearsal import Rehearsal, RehearsalResult
-from goniotwin.app.campaign.studies.decades import percent, target_texts, uncertainty_texts
+from goniotwin.app.campaign.studies.decades import LEAST_SHARE_MET, percent, target_texts, uncertainty_texts
 from goniotwin.app.campaign.wording import duration_text
 
 UNITS = ("bytes", "kB", "MB", "GB")
@@ -133,7 +133,9 @@ def _table(rehearsal: Rehearsal, sample: str) -> str:
     """The predicted u of a sample by decade of the peak, against what is asked for."""
     result, target = rehearsal.result, rehearsal.plan.schedule.file.target
     asked = {each.of_peak: each for each in result.target.get(sample, [])}
-    limit = "" if target is None or target.relative_u is None else f"u ≤ {percent(target.relative_u)} asked for"
+    limit = ""
+    if target is not None and target.relative_u is not None:
+        limit = f"u ≤ {percent(target.relative_u)}, met by {percent(LEAST_SHARE_MET)} at least"
     rows = [("share of the peak", "values", "median u (k = 1)", limit)]
     for each in result.relative_uncertainty[sample].decades:
         if each.values:

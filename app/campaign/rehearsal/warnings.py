@@ -217,7 +217,7 @@ def _target_warnings(file: ScheduleFile, rig: RigFile, found: Forecast) -> Itera
         remedy = (
             noise_remedy(file, rig)
             if largest in (*INDEPENDENT, "dark", "")
-            else "More readings do not reduce it: state a smaller one in [uncertainty] if it is known, or ask for less"
+            else "More readings do not reduce it: if its u is known to be smaller, state that in the rig file, or ask for less"
         )
         yield (
             f"{name} misses [target] relative_u = {file.target.relative_u:g}: {within} of {values} values from "
