@@ -67,6 +67,7 @@ STATUS = {
     State.RECOVERING: "Device fault: reconnecting.",
     State.STOPPING: "Stopping.",
 }
+READY = "Ready to start."
 STOPPED_RUN = "Stopped after"
 """Begins the status of a run that was stopped; the axes may report their stop after it."""
 END = {State.DONE: "done", State.IDLE: "stopped", State.FAILED: "failed"}
@@ -175,6 +176,8 @@ class Presenter(QObject):
         """Take why the schedule on the screen cannot be started: it differs from its file. Empty where it does not."""
         if reason != self._unsaved:
             self._unsaved = reason
+            if not self.busy and self.plan is not None:
+                self._view.show_status(f"Start waits: {reason}" if reason else READY)
             self.changed.emit()
 
     def show_starting(self) -> None:
@@ -421,7 +424,7 @@ class Presenter(QObject):
                 self.countdown.show_progress(0, len(message.plan.rows), message.plan.seconds)
                 self.countdown.show()
                 if self.rig is not None and not self._show_not_responding(self.rig):
-                    self._view.show_status("Ready to start.")
+                    self._view.show_status(READY)
         else:
             self._set_plan(None)
             self._no_plan = message.reason

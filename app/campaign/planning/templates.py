@@ -204,7 +204,7 @@ def make_schedule(
     notes = geometry.notes
     if over_s > 0.0:
         notes = (*notes, f"Even with the coarsest steps it takes {duration_text(over_s)} more than {longest_h:g} h.")
-    made = f"Made for {rig.file.name}: {len(plan.rows)} rows, about {duration_text(plan.seconds)}."
+    made = f"From a template for {rig.file.name}, u of {100.0 * relative_u:g} % and at most {longest_h:g} h."
     heading = "".join(f"# {printable(each)}\n" for each in (f"{chosen.title}.", made, *notes))
     return MadeSchedule(heading + text, plan, notes)
 

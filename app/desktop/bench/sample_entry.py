@@ -46,7 +46,7 @@ class SampleEntry(QScrollArea):
             row, column, picture = 1 + at // 2, 3 * (at % 2), each.path[-1] == "picture"
             grid.addWidget(QLabel(each.label), row, column)
             grid.addWidget(field, row, column + 1, 1, 1 if picture else 2)
-            grid.setColumnStretch(column + 1, 1)
+            grid.setColumnStretch(column + 1, 1 + at % 2)  # a button takes room of the left one
             if picture:
                 choose = QPushButton("Choose…")
                 choose.setAutoDefault(False)

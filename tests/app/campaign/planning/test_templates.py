@@ -58,7 +58,7 @@ def test_each_template_is_a_valid_schedule_of_each_example_rig_within_the_time(t
     file = parse_schedule(found.text, "x.toml").file
     assert file.target is not None
     assert (file.target.relative_u, file.target.longest_h) == (0.01, 4.0)
-    assert found.text.startswith(f"# {TEMPLATES[template].title}.\n# Made for {RIGS[rig].file.name}: {result.rows} rows")
+    assert found.text.startswith(f"# {TEMPLATES[template].title}.\n# From a template for {RIGS[rig].file.name}, u of ")
     assert all(len(line) <= 128 for line in found.text.splitlines())
     assert not any("drift checks" in each for each in result.warnings)  # all photodiodes have light in them
 
