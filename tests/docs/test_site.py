@@ -114,7 +114,7 @@ def test_a_link_to_a_source_is_a_plain_path_without_an_address_and_a_link_with_o
     (pages / "conf.py").write_bytes((DOCS / "conf.py").read_bytes())
     (pages / "extensions").symlink_to(DOCS / "extensions")
     plain = build(tmp_path / "plain", source=pages)
-    assert "Engine (src/engine.py) and src/engine.py" in shown(plain / "index.html")
+    assert "Engine in src/engine.py and src/engine.py" in shown(plain / "index.html")
     assert not (plain / "_downloads").exists()
     linked = build(tmp_path / "linked", "-D", "source_address=https://example.org/main", source=pages)
     assert (linked / "index.html").read_text(encoding="utf-8").count('href="https://example.org/main/src/engine.py"') == 2

@@ -136,7 +136,7 @@ def test_an_operators_day(open_window: Callable[..., WindowByKeys], write_rig: W
     window.choose("Close ")
     window.tab_to("What the values are compared with")
     window.press("Down", "Down")
-    window.wait_for(COMPARISONS[2], "second: prediction of the twin", "chi-square")
+    window.wait_for(COMPARISONS[2], "orange: prediction of the twin", "chi-square")
     values = goniotwin.open(journal)
     assert values.metadata.sample.thickness_mm == 1.5
     assert values.good.sum() > 0.8 * values.size
