@@ -14,7 +14,7 @@ from goniotwin.app.desktop.run.panel import STOP_KEY
 if TYPE_CHECKING:
     from goniotwin.app.campaign.running.events import SafetyOrder
 
-KEEP_MEASURING, STOP_AND_CLOSE = "Close the window", "Stop and close"
+CLOSE_WINDOW, STOP_AND_CLOSE = "Close the window", "Stop and close"
 KEEP_OPEN, ACKNOWLEDGE = "Keep open", "Acknowledge"
 
 
@@ -79,7 +79,7 @@ class CloseQuestion(QObject):
 
     def _ask_about_run(self) -> None:
         choices = [
-            Choice(KEEP_MEASURING, "The run goes on. The next window shows it again.", default=True),
+            Choice(CLOSE_WINDOW, "The run goes on. The next window shows it again.", default=True),
             Choice(STOP_AND_CLOSE, f"{EFFECTS[Answer.STOP]} Then the window closes.", stops=True),
             Choice(KEEP_OPEN, "The window stays open."),
         ]
@@ -105,7 +105,7 @@ class CloseQuestion(QObject):
         if label == STOP_AND_CLOSE:
             self._closing = True
             self.stop_wanted.emit()
-        elif label == KEEP_MEASURING:
+        elif label == CLOSE_WINDOW:
             self.close_unattended()
         elif label == ACKNOWLEDGE:
             self.acknowledge_wanted.emit(self._order)

@@ -306,7 +306,7 @@ def test_an_unexpected_error_is_one_line_and_a_file_with_the_details(tmp_path: P
         "export {} --format csv --out a.csv",
         "export {journal} --format csv --out {}",
         "copy {journal} {}",
-        "run {schedule} --rig {rig} --out {}",
+        "run {schedule} --rig {rig} --out {}.journal",
         "run --resume {}",
         "rehearse {schedule} --rig {rig} --out {}",
         "check {} --rig {}",

@@ -89,12 +89,12 @@ def test_the_same_seed_gives_the_same_journal_on_any_number_of_threads(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, again: Call
 ) -> None:
     rig, schedule = write_rig(), write_schedule()
-    json_result(invoke("run", schedule, "--rig", rig, "--out", tmp_path / "here", "--json"))
-    json_result(again("run", schedule, "--rig", rig, "--out", tmp_path / "there", "--json"))
-    assert dump_journal(tmp_path / "here") == dump_journal(tmp_path / "there")
+    json_result(invoke("run", schedule, "--rig", rig, "--out", tmp_path / "here.journal", "--json"))
+    json_result(again("run", schedule, "--rig", rig, "--out", tmp_path / "there.journal", "--json"))
+    assert dump_journal(tmp_path / "here.journal") == dump_journal(tmp_path / "there.journal")
     other = write_rig(("seed = 1", "seed = 2"), name="other.toml")
-    json_result(invoke("run", schedule, "--rig", other, "--out", tmp_path / "other", "--json"))
-    assert dump_journal(tmp_path / "other") != dump_journal(tmp_path / "here")
+    json_result(invoke("run", schedule, "--rig", other, "--out", tmp_path / "other.journal", "--json"))
+    assert dump_journal(tmp_path / "other.journal") != dump_journal(tmp_path / "here.journal")
 
 
 @pytest.mark.parametrize("call", CALLS)

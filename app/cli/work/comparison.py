@@ -49,8 +49,10 @@ def _pair(first: str, second: str, samples: list[str]) -> tuple[Dataset, Dataset
         return theory(b, first), b
     a = _named(Path(first), of_first)
     if models[1]:
+        if second == THEORY:
+            return a, theory(a)
         try:
-            return a, theory(a, None if second == THEORY else second)
+            return a, theory(a, second)
         except UserError as error:
             raise UserError(f"{error}. Or give a file, or {THEORY}: the sample of a virtual rig's journal") from None
     return a, _named(Path(second), of_second)

@@ -171,7 +171,7 @@ class ResultPlot(QWidget):
             plot.setRange(xRange=(-outer, outer), yRange=(-outer if panel.angles else 0.0, outer), padding=POLAR_MARGIN)
         else:
             self._angles.of_angles = panel.x.limits is not None
-            known = np.concatenate([np.zeros(1) if not panel.series else panel.series[0].x, *(each.x for each in panel.series)])
+            known = np.concatenate([each.x for each in panel.series] or [np.zeros(1)])
             ends = panel.x.limits or (float(known.min()), float(known.max()))
             plot.setXRange(*ends, padding=0.0 if panel.x.limits else MARGIN)
             if panel.y.limits is not None:

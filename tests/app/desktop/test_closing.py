@@ -14,7 +14,7 @@ from pytestqt.qtbot import QtBot
 from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.desktop import STOPPED, MainWindow, run_desktop
-from goniotwin.app.desktop.close_question import KEEP_MEASURING, KEEP_OPEN, STOP_AND_CLOSE
+from goniotwin.app.desktop.close_question import CLOSE_WINDOW, KEEP_OPEN, STOP_AND_CLOSE
 from goniotwin.app.desktop.dialogs import FileDialog
 from goniotwin.app.desktop.rig.screen import RigScreen
 from goniotwin.app.end_signals import END_SIGNALS
@@ -179,7 +179,7 @@ def test_the_run_goes_on_without_its_window_and_the_next_one_shows_it(
     journal = wait_for_journal(qtbot, window)
     qtbot.waitUntil(lambda: window.view.run.progress.value() >= 3, timeout=READY_MS)
     if by == "person":
-        close_with(window, KEEP_MEASURING)
+        close_with(window, CLOSE_WINDOW)
     else:
         assert not window.close()  # the question is answered with waiting
         window.close_unattended()
