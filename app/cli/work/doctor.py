@@ -93,7 +93,7 @@ def examine(rig: Path | None = None) -> list[Finding]:
         clock,
         logs,
     )
-    at_rig = [] if rig is None else rig_ports(rig)  # what is refused is not waited for
+    at_rig = [] if rig is None else list(rig_ports(rig))  # what is refused is not waited for
     found: list[Finding] = []
     for group in groups:
         try:
