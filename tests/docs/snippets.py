@@ -2,8 +2,7 @@
 
 A comment above a block, `<!-- not run: REASON -->`, keeps it from running where it cannot: a real port, another shell.
 `<!-- status 2 -->` is the exit status of its last command. `<!-- output -->` above a block of text: its lines are in the output
-of the block before, in this order. `<!-- file NAME -->`: the block is the content of that file. A page with `<!-- long -->`
-above one of its blocks, or with a command of SLOW, runs in `make test-long` alone.
+of the block before, in this order. `<!-- file NAME -->`: the block is the content of that file. `make test-long` runs them.
 
 Without a mark these are not run, only held against the commands and options that there are: a synopsis, which is a line with
 brackets or with a word in capitals in the place of a file; and what opens a window or serves until it is stopped. Lines of
@@ -33,12 +32,10 @@ from tests.system.command import Call, invoke
 README = REPOSITORY / "README.md"
 DOCS = REPOSITORY / "docs"
 FENCE = re.compile(r"^( *)(`{3,})([^\n`]*)\n(.*?)^ *\2 *$", re.DOTALL | re.MULTILINE)
-MARK = re.compile(r"<!-- (not run: [^>]+|long|output|status \d+|file \S+) -->\s*\Z")
+MARK = re.compile(r"<!-- (not run: [^>]+|output|status \d+|file \S+) -->\s*\Z")
 SYNOPSIS = re.compile(r"^[A-Z]{2,}|[\[\]|]|^\.\.\.$")
 SERVING = ("serve", "station", "usb")
 LANGUAGE = {"pycon": "python"}
-SLOW = ("rehearse", "run", "prove", "demo", "tolerances", "simulate", "align")
-"""Commands that take seconds."""
 COMMAND_LANGUAGES = ("sh", "bash", "console", "powershell", "bat")
 
 
@@ -133,12 +130,6 @@ def toml_parts(page: Path, files: dict[str, tuple[set[str], Path]]) -> Iterator[
         for key, value in content.items():
             whole[key] = {**whole.get(key, {}), **value} if isinstance(value, dict) else value
         yield kind, whole
-
-
-def takes_long(page: Path) -> bool:
-    """Whether a page runs in `make test-long` alone."""
-    slow = (words for block in blocks(page) for words in block.lines if not block.reason(words) and words[1] in SLOW)
-    return any(block.mark == "long" for block in blocks(page)) or any(slow)
 
 
 def run_page(page: Path, outputs: list[str] | None = None, call: Call = invoke) -> int:

@@ -37,6 +37,7 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
     return drawn
 
 
+@pytest.mark.long
 def test_each_figure_of_the_python_page_is_marked_as_simulated(folder: Path, figures: list[Figure]) -> None:
     run_page(PYTHON)
     assert len(figures) == 2

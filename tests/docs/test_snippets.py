@@ -17,7 +17,7 @@ import typer.main
 
 from goniotwin.app.cli.main import app
 from tests.conftest import REPOSITORY
-from tests.docs.snippets import COMMAND_LANGUAGES, DOCS, README, Block, blocks, pages, run_page, takes_long, without_fences
+from tests.docs.snippets import COMMAND_LANGUAGES, DOCS, README, Block, blocks, pages, run_page, without_fences
 from tests.system.command import invoke
 from tests.test_package import wheel as wheel  # a fixture
 
@@ -37,7 +37,6 @@ LEFT = ("examples", "run", "export")
 """Commands of the tutorial whose files other pages begin with: `examples`, `first.journal`, `first.csv`, `first.ddr`."""
 LANGUAGES = {*COMMAND_LANGUAGES, "python", "toml", "json", "text", "mermaid", "sql"}
 WITH_RUNS = [page for page in pages() if page not in BY_THE_WHEEL and any(block.runs for block in blocks(page))]
-CASES = [pytest.param(page, marks=pytest.mark.long if takes_long(page) else (), id=name(page)) for page in WITH_RUNS]
 SPAN = re.compile(r"(?<!`)`(goniotwin (?!rayset`)[a-z][^`]*)`(?!`)")  # `goniotwin rayset` is the name of a file format
 
 
@@ -70,7 +69,8 @@ def folder(
     return tmp_path
 
 
-@pytest.mark.parametrize("page", CASES)
+@pytest.mark.long
+@pytest.mark.parametrize("page", WITH_RUNS, ids=name)
 def test_the_blocks_of_a_page_run(page: Path, folder: Path) -> None:
     assert run_page(page) > 0
 
@@ -165,7 +165,7 @@ def counted(block: Block) -> int:
 def report() -> str:
     """By page what runs, and each command that does not, with its reason: `python -m tests.docs.test_snippets`."""
     lines = []
-    totals = {False: 0, True: 0}
+    run = 0
     reasons: dict[str, int] = {}
     for page in pages():
         found = blocks(page)
@@ -174,15 +174,14 @@ def report() -> str:
         commands += [(block, "Python", block.mark.removeprefix("not run: ")) for block in unused]
         snippets = sum(block.language == "python" and block.runs for block in found)
         tables = sum(block.language in ("toml", "json") for block in found)
-        late = takes_long(page)
-        totals[late] += sum(map(counted, found))
+        run += sum(map(counted, found))
         if found:
             running = sum(not reason for _, _, reason in commands)
-            lines.append(f"{name(page):40} {running:4} commands {snippets:3} Python {tables:3} TOML, JSON{'  (long)' * late}")
+            lines.append(f"{name(page):40} {running:4} commands {snippets:3} Python {tables:3} TOML, JSON")
         lines += [f"    line {block.line}: {text}: {reason}" for block, text, reason in commands if reason]
         for reason in (reason for _, _, reason in commands if reason):
             reasons[reason] = reasons.get(reason, 0) + 1
-    lines.append(f"run: {totals[False]} in make test, {totals[True]} in make test-long; not run: {sum(reasons.values())}")
+    lines.append(f"run: {run}; not run: {sum(reasons.values())}")
     lines += [f"    {count:3} {reason}" for reason, count in sorted(reasons.items())]
     return "\n".join(lines)
 

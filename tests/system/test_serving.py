@@ -199,6 +199,7 @@ def test_devices_of_a_rig_are_listed_with_their_identity(call: Call) -> None:
     assert answers["monitor"].endswith("2.8.0")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("call", CALLS)
 def test_devices_of_this_computer_can_be_listed(call: Call) -> None:
     assert call("devices").returncode == 0

@@ -6,6 +6,8 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from goniotwin.app.rig import open_rig, read_rig
 from goniotwin.protocols.clock import RealClock
 from tests.conftest import RIG
@@ -16,6 +18,7 @@ from tests.system.conftest import MAIN, ForkedServe, control_client, until
 pytestmark = FORKED
 
 
+@pytest.mark.long
 def test_a_served_rig_is_verified_and_the_lock_of_another_program_is_respected(
     forked_serve: ForkedServe, tmp_path: Path
 ) -> None:

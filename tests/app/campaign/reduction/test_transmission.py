@@ -157,7 +157,11 @@ def test_a_rehearsal_warns_of_a_sample_without_values_and_gives_the_reason() -> 
     [
         ("reflected", ["from reflected light"]),
         pytest.param("transmitted", ["from the etalon's signal that scales transmitted light"], marks=pytest.mark.long),
-        ("both", ["from reflected light and from the etalon's signal that scales transmitted light"]),
+        pytest.param(
+            "both",
+            ["from reflected light and from the etalon's signal that scales transmitted light"],
+            marks=pytest.mark.long,
+        ),
     ],
 )
 def test_a_note_names_the_light_from_which_the_signature_was_subtracted(
