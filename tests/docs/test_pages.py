@@ -3,6 +3,7 @@
 import inspect
 import json
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +15,26 @@ from goniotwin.app.data.values import COLUMNS
 from goniotwin.app.figures.style import SIMULATED
 from tests.docs.reference import reference
 from tests.docs.snippets import DOCS, blocks, run_page
-from tests.docs.test_snippets import folder as folder  # a fixture
-from tests.docs.test_snippets import left_by_tutorial as left_by_tutorial
+from tests.docs.test_snippets import TUTORIAL
 from tests.docs.words import prose
+from tests.system.command import invoke
 
 pytestmark = pytest.mark.xdist_group("pages")
 PYTHON = DOCS / "analyse" / "python.md"
 MOST_NAMES = 60
+LEAVING = ("examples", "run", "export")
+"""Commands of the tutorial whose files other pages begin with."""
+
+
+@pytest.fixture
+def folder(demo_run: tuple[Path, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, with what demo and tutorial leave."""
+    monkeypatch.chdir(tmp_path)
+    for words in (words for block in blocks(TUTORIAL) for words in block.lines):
+        if words[1] in LEAVING:
+            assert invoke(*words[1:]).returncode == 0, words
+    shutil.copytree(demo_run[0], tmp_path / "demo", ignore=shutil.ignore_patterns("wires", "lock", "result.json"))
+    return tmp_path
 
 
 @pytest.fixture

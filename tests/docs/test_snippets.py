@@ -1,6 +1,5 @@
 """Each command and each snippet of README and site runs, on what the demo and the tutorial left, or states why it cannot."""
 
-import contextlib
 import json
 import os
 import re
@@ -9,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,7 @@ import typer.main
 
 from goniotwin.app.cli.main import app
 from tests.conftest import REPOSITORY
-from tests.docs.snippets import COMMAND_LANGUAGES, DOCS, README, Block, blocks, pages, run_page, without_fences
-from tests.system.command import invoke
+from tests.docs.snippets import COMMAND_LANGUAGES, DOCS, README, Block, blocks, pages, without_fences
 from tests.test_package import wheel as wheel  # a fixture
 
 
@@ -28,59 +27,20 @@ def name(page: Path) -> str:
 
 pytestmark = pytest.mark.xdist_group("pages")
 TUTORIAL = DOCS / "tutorial.md"
-BEGIN_EMPTY = (README, DOCS / "install.md", DOCS / "operate" / "procedures.md", DOCS / "rig" / "arrival.md")
-BY_THE_WHEEL = (TUTORIAL, DOCS / "analyse" / "figures.md", DOCS / "exchange" / "formats.md", DOCS / "analyse" / "python.md")
-"""Pages that an installed wheel runs in this order. Those on figures and Python have tests in test_pages.py, too."""
-TOGETHER = [BY_THE_WHEEL, *((page,) for page in BEGIN_EMPTY if any(block.runs for block in blocks(page)))]
-"""The pages that an installed wheel runs in one folder, which is empty at the beginning."""
-LEFT = ("examples", "run", "export")
-"""Commands of the tutorial whose files other pages begin with: `examples`, `first.journal`, `first.csv`, `first.ddr`."""
+LEAVING = (README, TUTORIAL)
+"""They run one after the other in an empty folder. The other pages begin with what they leave, but for BEGIN_EMPTY."""
+BEGIN_EMPTY = (DOCS / "install.md", DOCS / "operate" / "procedures.md", DOCS / "rig" / "arrival.md")
+OTHERS = [page for page in pages() if page not in LEAVING and any(block.runs for block in blocks(page))]
+Run = Callable[..., str]
+"""Runs a command in a folder, and returns what it prints."""
 LANGUAGES = {*COMMAND_LANGUAGES, "python", "toml", "json", "text", "mermaid", "sql"}
-WITH_RUNS = [page for page in pages() if page not in BY_THE_WHEEL and any(block.runs for block in blocks(page))]
 SPAN = re.compile(r"(?<!`)`(goniotwin (?!rayset`)[a-z][^`]*)`(?!`)")  # `goniotwin rayset` is the name of a file format
 
 
 @pytest.fixture(scope="session")
-def left_by_tutorial(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the files that the tutorial makes by the commands LEFT. Tests only read it."""
-    base = tmp_path_factory.mktemp("tutorial")
-    with contextlib.chdir(base):
-        for words in (words for block in blocks(TUTORIAL) for words in block.lines):
-            if words[1] in LEFT:
-                assert invoke(*words[1:]).returncode == 0, words
-    return base
-
-
-@pytest.fixture
-def folder(
-    request: pytest.FixtureRequest,
-    demo_run: tuple[Path, dict[str, Any]],
-    left_by_tutorial: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> Path:
-    """The current folder of a page: what demo and tutorial left. Those of BEGIN_EMPTY begin in an empty one."""
-    monkeypatch.chdir(tmp_path)
-    callspec = getattr(request.node, "callspec", None)
-    if callspec is not None and callspec.params["page"] in BEGIN_EMPTY:
-        return tmp_path
-    shutil.copytree(left_by_tutorial, tmp_path, dirs_exist_ok=True)
-    shutil.copytree(demo_run[0], tmp_path / "demo", ignore=shutil.ignore_patterns("wires", "lock", "result.json"))
-    return tmp_path
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("page", WITH_RUNS, ids=name)
-def test_the_blocks_of_a_page_run(page: Path, folder: Path) -> None:
-    assert run_page(page) > 0
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("several", TOGETHER, ids=lambda several: name(several[0]))
-def test_pages_run_in_an_empty_folder_with_an_installed_wheel(wheel: Path, tmp_path: Path, several: tuple[Path, ...]) -> None:
-    """The commands by the program of the wheel, the Python of the pages by its package."""
-    prefix, folder = tmp_path / "installed", tmp_path / "empty"
-    folder.mkdir()
+def run_installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """The commands are those of the program of an installed wheel, and Python has its package."""
+    prefix = tmp_path_factory.mktemp("installed")
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps", "--disable-pip-version-check"]
     subprocess.run([*pip, "--target", str(prefix), str(wheel)], check=True)
     environment = {
@@ -90,15 +50,38 @@ def test_pages_run_in_an_empty_folder_with_an_installed_wheel(wheel: Path, tmp_p
         "PYTHONPATH": os.pathsep.join([str(prefix), str(REPOSITORY)]),  # the tests are in the repository
     }
 
-    def run(*command: str) -> str:
-        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    def run(folder: Path, *command: str) -> str:
+        done = subprocess.run(
+            [sys.executable, *command], cwd=folder, env=environment, capture_output=True, text=True, check=False
+        )
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
-    assert Path(run(sys.executable, "-c", "import goniotwin; print(goniotwin.__file__)").strip()).is_relative_to(prefix)
-    found = run(sys.executable, "-m", "tests.docs.snippets", *map(name, several)).split()
-    assert found[::2] == [name(page) for page in several]
-    assert sum(map(int, found[1::2])) >= (36 if several == BY_THE_WHEEL else 1)
+    assert Path(run(prefix, "-c", "import goniotwin; print(goniotwin.__file__)").strip()).is_relative_to(prefix)
+    return run
+
+
+@pytest.fixture(scope="session")
+def left(run_installed: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that README and tutorial leave. Tests only read it."""
+    folder = tmp_path_factory.mktemp("left")
+    run_installed(folder, "-m", "tests.docs.snippets", *map(name, LEAVING))
+    return folder
+
+
+@pytest.mark.long
+def test_readme_and_tutorial_run_in_an_empty_folder(left: Path) -> None:
+    assert (left / "demo" / "first.journal").exists()
+    assert (left / "first.journal").exists()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("page", OTHERS, ids=name)
+def test_the_blocks_of_a_page_run(page: Path, run_installed: Run, left: Path, tmp_path: Path) -> None:
+    if page not in BEGIN_EMPTY:
+        shutil.copytree(left, tmp_path, dirs_exist_ok=True)
+    _name, count = run_installed(tmp_path, "-m", "tests.docs.snippets", name(page)).split()
+    assert int(count) > 0
 
 
 def test_every_block_has_a_language_that_is_checked_and_commands_that_are_known() -> None:

@@ -42,6 +42,16 @@ def test_a_run_ends_with_a_summary_that_leads_to_its_results(qtbot: QtBot, windo
     assert isinstance(window.view.screens[window.view.shown_screen], ResultsScreen)
 
 
+def test_a_summary_that_comes_after_the_next_start_is_not_shown(qtbot: QtBot, window: MainWindow) -> None:
+    journal = measured(qtbot, window)
+    control = window.conclusion
+    control.begin(journal)
+    control.end()  # as the next run begins
+    control._answered.emit((control._conclusions.number, conclude(journal)))
+    qtbot.wait(50)
+    assert control.box is None
+
+
 def test_the_next_sample_has_a_copy_of_the_schedule(qtbot: QtBot, window: MainWindow) -> None:
     measured(qtbot, window)
     box, setup = window.conclusion.box, window.view.screen_of(SetupScreen)
