@@ -212,7 +212,7 @@ def _certificate(facts: Facts) -> Check:
     name = "Certificate"
     if facts.expires is None:
         if facts.calibrated is None and facts.virtual:
-            return Check(name, Outcome.GOOD, "the etalon of a virtual rig has none")
+            return Check(name, Outcome.GOOD, "the etalon is that of a virtual rig: it needs no date")
         if facts.calibrated is None:
             found = "no date of calibration and no expiry date"
             remedy = "add calibrated to [etalon] in the rig file, or [certificate] to the schedule"

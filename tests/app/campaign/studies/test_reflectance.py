@@ -1,15 +1,22 @@
 """The reflectance of measured values: exact for a constant, right for a lobe, and what directions without a value add."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from goniotwin.app.campaign.planning.templates import make_schedule
 from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.studies.reflectance import integration_settings, quadrature
+from goniotwin.app.data.opening import open_dataset
+from goniotwin.app.rig import read_rig
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import albedo, arc_direction, evaluate, gaussian, light_direction
 from tests.app.campaign.reduction.made_points import made_points
+from tests.conftest import RIG
 
 
 def _grid(rings: Floats, azimuths: Floats) -> tuple[Floats, Floats]:
@@ -94,3 +101,18 @@ def test_blocked_directions_and_those_beyond_the_last_ring_are_stated() -> None:
     assert float(np.sum(result.extrapolated * value)) == pytest.approx(np.cos(np.radians(80.0)) ** 2, rel=1e-9)
     in_plane = _points(*_grid(np.arange(0.0, 81.0, 5.0), np.array([0.0, 180.0])), np.full(34, 0.3))
     assert not quadrature(in_plane, "isotropic").hemisphere
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("sample", ["gaussian-5", "white-tile"])
+def test_the_campaign_of_a_template_has_the_reflectance_of_the_model(sample: str, tmp_path: Path) -> None:
+    """Its directions are finer near the specular one. At normal incidence the peak is blocked, and u is that of a guess."""
+    rig = read_rig(RIG)
+    made = make_schedule("isotropic", rig, "x.toml", sample, "etalon", 0.01, 0.5)
+    run_without_wires(made.plan, tmp_path / "a.journal")
+    dataset, model = open_dataset(tmp_path / "a.journal"), rig.model()
+    assert model is not None
+    for sigma in np.unique(dataset.sigma_deg).tolist():
+        found = dataset.reflectance(sigma_deg=sigma, wavelength_nm=550.0)
+        assert abs(found.value - albedo(model.samples[sample], sigma)) < 2.0 * found.u
+        assert found.u < 0.12 * found.value or sigma == 0.0
