@@ -151,7 +151,7 @@ class OneAtATime(Generic[Answer]):
         self._progress, self._in_process = progress, process
         self._worker: Worker | None = None
         self.number = 0
-        """The number of the piece that is computed, or was last."""
+        """The number of the piece that is computed; that of none once it is ended, so that a late answer has another."""
 
     def begin(self, request: object) -> None:
         """Begin a piece of work, after the `end` of the one before; at once."""
@@ -176,6 +176,7 @@ class OneAtATime(Generic[Answer]):
     def end(self) -> None:
         """End the worker: the work is done, or not wanted any more."""
         if self._worker is not None:
+            self.number += 1
             worker, self._worker = self._worker, None
             worker.close()
 

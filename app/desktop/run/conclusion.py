@@ -41,18 +41,15 @@ class ConclusionControl(QObject):
             "conclusion", serve_conclusion, self._answered.emit, process=processes
         )
         self.box: QuestionBox | None = None
-        self._wanted = False
         self._answered.connect(self._take, Qt.ConnectionType.QueuedConnection)
 
     def begin(self, journal: Path) -> None:
         """Conclude a journal; return at once."""
         self.end()
-        self._wanted = True
         self._conclusions.begin(journal)
 
     def end(self) -> None:
         """Show no summary any more, and end the worker."""
-        self._wanted = False
         self._conclusions.end()
         if self.box is not None:
             self.box.dismiss()
@@ -61,7 +58,7 @@ class ConclusionControl(QObject):
     @Slot(object)
     def _take(self, numbered: tuple[int, Conclusion | WorkFailed]) -> None:
         number, found = numbered
-        if not self._wanted or number != self._conclusions.number:  # a run that has begun since is not disturbed
+        if number != self._conclusions.number:  # a run that has begun since is not disturbed
             return
         self.end()
         if isinstance(found, WorkFailed):
