@@ -29,7 +29,9 @@ EQUAL_SHARE = 1e-9
 CHUNK_POINTS = 20_000
 """Points whose effects are in memory together."""
 RICHARDSON = 3.0
-"""A rule of second order with half of the nodes is off by four times as much: their difference is three errors."""
+"""A rule of second order with half of the nodes is off by four times as much: their difference is three errors. On a lobe that
+is not resolved it is less: the error counts up to twice as much, the larger the difference is against the sum.
+"""
 
 
 @dataclass(frozen=True)
@@ -37,8 +39,8 @@ class Quadrature:
     """Weights (n,) in sr of the values of one setting: their sum with the values is the reflectance.
 
     `obstructed` and `extrapolated` are the parts of the weights that stand for directions without a value, and beyond the
-    outermost ring; `coarse` are the weights of a rule with every second ring and azimuth. `hemisphere`: whether the measured
-    directions cover a half sphere closely enough.
+    outermost ring. `coarse` (2, 2, n) are the weights of rules with half of the azimuths, and with half of the rings: with
+    either half. `hemisphere`: whether the measured directions cover a half sphere closely enough.
     """
 
     weight: Floats
@@ -48,9 +50,14 @@ class Quadrature:
     hemisphere: bool
 
     def interpolation_error(self, value: Floats) -> float:
-        """The estimated error of the interpolation, in the unit of the sum."""
+        """The estimated error of the interpolation, in the unit of the sum: of azimuths and rings, by the worse half of each.
+
+        With half of both at once their errors may cancel: on a lobe that neither resolves they have opposite signs.
+        """
         used = self.weight != 0.0
-        return abs(float(np.sum((self.weight - self.coarse)[used] * value[used]))) / RICHARDSON
+        total = abs(float(self.weight[used] @ value[used]))
+        change = float(np.abs((self.coarse - self.weight)[..., used] @ value[used]).max(axis=1).sum())
+        return change * (1.0 + change / max(total, change)) / RICHARDSON if change else 0.0
 
 
 class MeasuredRings(Protocol):
@@ -158,16 +165,31 @@ def components_of_sum(
 
 
 def _coarse(rings: Floats, ring: Ints, azimuth: Floats, good: Flags, folded: bool) -> Floats:
-    """The weights with every second ring, from the outermost one inwards, and every second azimuth of a ring."""
-    result = np.zeros(azimuth.size)
-    with_value = np.unique(ring[good])
-    chosen = with_value[::-1][::2][::-1]
-    inside, beyond = _ring_weights(rings[chosen])
-    for k, total in zip(chosen.tolist(), (inside + beyond).tolist(), strict=True):
+    """The weights (2, 2, n) with either half of the azimuths of each ring, and with either half of the rings.
+
+    The outermost ring is in both halves: without it the weights would differ by what they extrapolate.
+    """
+    result = np.zeros((2, 2, azimuth.size))
+    inwards = np.unique(ring[good])[::-1]
+    of_all, halves = _totals(rings, inwards), [inwards[::2], np.append(inwards[:1], inwards[1::2])]
+    of_half = [_totals(rings, each) for each in halves]
+    for k in inwards.tolist():
         here = np.flatnonzero((ring == k) & good)
-        kept = np.isin(azimuth[here], np.unique(azimuth[here])[::2])
-        own, filled, _ = _azimuth_shares(azimuth[here], kept, folded)
-        result[here] = total * (own + filled)
+        nodes, every = np.unique(azimuth[here]), np.ones(here.size, dtype=bool)
+        for half in (0, 1):
+            some = nodes[half::2]
+            kept = np.isin(azimuth[here], some) if some.size else every
+            for result_of, total, chosen in ((result[0, half], of_all[k], kept), (result[1, half], of_half[half][k], every)):
+                own, filled, _ = _azimuth_shares(azimuth[here], chosen, folded)
+                result_of[here] = total * (own + filled)
+    return result
+
+
+def _totals(rings: Floats, chosen: Ints) -> Floats:
+    """The weight of each of the rings, where only the chosen ones are used."""
+    result, ordered = np.zeros(rings.size), np.sort(chosen)
+    inside, beyond = _ring_weights(rings[ordered])
+    result[ordered] = inside + beyond
     return result
 
 
