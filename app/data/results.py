@@ -95,8 +95,9 @@ class Shown:
 
     @property
     def highest(self) -> int:
-        """The index of the highest value to be trusted."""
-        return int(np.argmax(np.where(self.data.good, self.data.values.values, -np.inf)))
+        """The index of the highest value to be trusted, by the lower end of its band: noise may be higher than the lobe."""
+        lowest = np.where(np.isfinite(self.band[0]), self.band[0], self.data.values.values)
+        return int(np.argmax(np.where(self.data.good, lowest, -np.inf)))
 
     def place(self, index: int) -> tuple[float, float]:
         """The place of a value in the map."""
@@ -168,8 +169,10 @@ class Results:
 
     @property
     def lights(self) -> tuple[Light, ...]:
-        """The lights, of which there is at least one."""
-        return tuple(self._indices)
+        """The lights, of which there is at least one; last those without a trusted value, such as what a table fills."""
+        return tuple(
+            sorted(self._indices, key=lambda light: not self.dataset.data[light.sample].good[self._indices[light]].any())
+        )
 
     def show(self, view: View) -> Shown:
         """The values and panels of a view. Raises UserError where no value is to be trusted."""
