@@ -5,7 +5,7 @@ from pathlib import Path
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.rehearsal.forecast import forecast_of
-from goniotwin.app.campaign.rehearsal.warnings import largest_text, missed_warnings
+from goniotwin.app.campaign.rehearsal.warnings import largest_text, missed_warnings, saturation_remedy
 from goniotwin.app.campaign.studies.decades import percent
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.verification import NOTHING, verdicts_text, verify_journal
@@ -35,7 +35,11 @@ def conclude(path: Path) -> Conclusion:
         values, within = sum(each.values for each in decades), sum(each.within for each in decades)
         assert file.target is not None
         assert file.target.relative_u is not None
-        lines.append(f"{name}: {within} of {values} values reach the target, u ≤ {percent(file.target.relative_u)}")
+        if values:
+            lines.append(f"{name}: {within} of {values} values reach the target, u ≤ {percent(file.target.relative_u)}")
+    for name, tally in found.tallies.items():
+        if saturated := tally.missing.get("clipped", 0):
+            lines.append(f"{saturated} values of {name} are saturated at every gain. {saturation_remedy(file, rig)}")
     lines += [verdicts_text(verdicts)] if any(each.verdict != NOTHING for each in verdicts) else []
     lines += [f"{each.name} {each.verdict}: {each.remedy}" for each in verdicts if each.remedy]
     return Conclusion(path, schedule, (*lines, *missed_warnings(file, rig, found)))

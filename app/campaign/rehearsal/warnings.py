@@ -45,10 +45,7 @@ def rehearsal_warnings(plan: Plan, statistics: RowStatistics) -> Iterator[str]:
     yield from field_warnings(plan)
     yield from _low_gains(plan, statistics)
     if statistics.saturated:
-        gains = plan.rig.file.photodiodes.gains_v_per_a
-        used = plan.schedule.file.gains_v_per_a
-        lower = [each for each in gains if used != "automatic" and each < min(used)]
-        remedy = f"Add {literal(lower[-1])} V/A to gains_v_per_a" if lower else "The rig has no lower gain: attenuate the light"
+        remedy = saturation_remedy(plan.schedule.file, plan.rig.file)
         yield f"{statistics.saturated} values are saturated at every gain of the schedule. {remedy}"
     for flag, rows in sorted(statistics.flagged.items()):
         remedy = FLAGS[flag].remedy if flag in FLAGS else ""
@@ -154,6 +151,13 @@ def _low_gains(plan: Plan, statistics: RowStatistics) -> Iterator[str]:
                 f"signal of {name} too low at {highest:g} V/A: its brightest photodiode uses {steps[highest]:.0f} of "
                 f"{statistics.span} steps of the converter. Add {literal(better[-1])} V/A to gains_v_per_a"
             )
+
+
+def saturation_remedy(file: ScheduleFile, rig: RigFile) -> str:
+    """What to change in a schedule against saturation."""
+    used = file.gains_v_per_a
+    lower = [each for each in rig.photodiodes.gains_v_per_a if used != "automatic" and each < min(used)]
+    return f"Add {literal(lower[-1])} V/A to gains_v_per_a" if lower else "The rig has no lower gain: attenuate the light"
 
 
 def noise_remedy(file: ScheduleFile, rig: RigFile) -> str:

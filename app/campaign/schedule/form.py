@@ -91,19 +91,19 @@ class FormField:
 
     def _literal(self, typed: str) -> str:
         schema = self._schema
-        if typed[0] in "[{":
-            return typed
         words = [*self.choices, *(each["const"] for each in schema.get("oneOf", ()) if "const" in each)]
         if schema.get("type") == "string" or typed in words:
             return literal(typed)
+        if typed[0] in "[{":
+            return typed
+        if schema.get("type") in ("number", "integer"):
+            return _number(typed)
         if (found := ONE_OR_TWO.fullmatch(typed)) is not None:
             one, two = (mark.join(found.groups()) for mark in (".", ", "))
             raise UserError(f"{self.label}: {typed!r} may be one number or two; write {one} or {two}")
         parts = [part.strip() for part in typed.split(",")]
         if schema.get("type") == "array":
             return literal(parts)
-        if schema.get("type") in ("number", "integer"):
-            return _number(typed)
         ranges = [RANGE.fullmatch(part) for part in parts]
         values = [
             _number(part) if found is None else "{{ start = {}, stop = {}, step = {} }}".format(*map(_number, found.groups()))

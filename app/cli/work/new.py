@@ -7,6 +7,7 @@ from typing import Any
 
 import typer
 
+from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.templates import (
     TEMPLATES,
     USUAL_ETALON,
@@ -64,8 +65,9 @@ def new_schedule(
     _refuse_existing(path, rig, force)
     made = make_schedule(template, description, str(path), sample, etalon, target_u, longest_h)
     write_file(path, made.text.encode())
-    result = {"schedule": str(path), "rows": len(made.plan.rows), "duration_s": made.plan.seconds, "notes": made.notes}
-    answer(as_json, result, lambda: _print(made, path, rig))
+    notes = (*made.notes, *check_plan(made.plan).warnings)
+    result = {"schedule": str(path), "rows": len(made.plan.rows), "duration_s": made.plan.seconds, "notes": notes}
+    answer(as_json, result, lambda: _print(made, notes, path, rig))
 
 
 def _asked(question: str, given: Any, kind: Any, default: Any = None) -> Any:
@@ -85,9 +87,9 @@ def _refuse_existing(path: Path, rig: Path, force: bool) -> None:
             raise UserError(f"{path}: exists, and is kept; choose another name")
 
 
-def _print(made: MadeSchedule, path: Path, rig: Path) -> None:
+def _print(made: MadeSchedule, notes: tuple[str, ...], path: Path, rig: Path) -> None:
     print(f"{path}: {len(made.plan.rows)} rows, about {duration_text(made.plan.seconds)}")
-    for note in made.notes:
+    for note in notes:
         print(f"  note        {note}")
     file, on = shlex.quote(str(path)), f"--rig {shlex.quote(str(rig))}"
     for command, more in (("check", ""), ("rehearse", ""), ("run", f" --out {shlex.quote(str(path.with_suffix('.journal')))}")):

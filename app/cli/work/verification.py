@@ -36,6 +36,6 @@ def _print_verdicts(verdicts: list[Verdict], evidence: str, simulated: bool) -> 
         line = Text(f"{each.name}: ").append(each.verdict, style=FAILS_STYLE[each.verdict]).append(f": {each.text}")
         console.print(line, soft_wrap=True)
         if each.remedy:
-            console.print(f"  {each.remedy}", soft_wrap=True)
+            console.print(f"  {each.remedy}", soft_wrap=True, markup=False)
     if evidence:
         console.print(evidence, soft_wrap=True)

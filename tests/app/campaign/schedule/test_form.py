@@ -101,6 +101,7 @@ def test_a_field_of_a_table_adds_and_removes_it() -> None:
         (FIELD["readings"], "many", "Readings: 'many' is no number; write one such as 0.01 or 1e10"),
         (FIELD["sigma_deg"], "30; 60", "'30; 60' is neither numbers nor a range; write 30, 60 or 0 to 350 step 10"),
         (FIELD["sigma_deg"], "30, ", "is neither numbers nor a range"),
+        (FIELD["target.relative_u"], "0,02", "'0,02' is no number; write one such as 0.01 or 1e10"),
         (FIELD["sigma_deg"], "22,5", "'22,5' may be one number or two; write 22.5 or 22, 5"),
         (FIELD["sigma_deg"], "[30", "is neither numbers nor a range"),
     ],
