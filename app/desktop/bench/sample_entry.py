@@ -83,6 +83,8 @@ class SampleEntry(QScrollArea):
         now, before = {**self._shown.model_dump(), **typed}, self._records[0].model_dump()
         if "picture" in typed:
             now.pop("picture_sha256")  # the station finds it
+        elif not now["picture_sha256"]:
+            now["picture"] = before["picture"]  # a name in a schedule, of a file that may be anywhere, is not copied
         return {key: value for key, value in now.items() if value != before[key]}
 
     def _typed(self) -> dict[str, str]:

@@ -94,6 +94,13 @@ def test_a_record_of_another_campaign_replaces_this_one_but_for_who_mounts(entry
     assert entry.given() == {"mounted_by": "C. Person"}
 
 
+def test_the_name_of_a_picture_without_a_digest_is_not_copied(entry: SampleEntry) -> None:
+    """A schedule may state one whose file is anywhere: the station would refuse it."""
+    entry._records[1] = entry._records[1].model_copy(update={"picture": "elsewhere.jpg", "picture_sha256": ""})
+    entry.known.activated.emit(1)
+    assert "picture" not in entry.given()
+
+
 def test_a_wrong_record_is_refused_and_a_right_one_is_in_the_journal(
     qtbot: QtBot, open_window: WindowOpener, write_schedule: Writer, tmp_path: Path
 ) -> None:
