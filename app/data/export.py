@@ -90,6 +90,7 @@ def points_of(reduced: ReducedJournal, sample: str | None, path: Path) -> tuple[
         raise UserError(f"{path}: no sample has been measured yet, so there is nothing to write")
     about = [
         *heading(reduced),
+        *(f"{name}: {line}" for name in chosen if name in reduced.metadata for line in _record(reduced.metadata[name])),
         "sigma: incidence; theta, phi: observation about the specular direction, phi 0 towards the normal; degrees",
         "bsdf with its standard uncertainty u_bsdf in 1/sr; luminance_factor is pi times bsdf",
         "side: the lit side, front or back; light: reflected or transmitted",
@@ -108,6 +109,11 @@ def points_of(reduced: ReducedJournal, sample: str | None, path: Path) -> tuple[
     ]
     parts = (_columns(name, points) for name, source in chosen.items() for points in source.parts(reduced.sizes.points))
     return PointStream(about, parts), sum(source.size for source in chosen.values())
+
+
+def _record(known: Metadata) -> list[str]:
+    """What is stated of a sample and of who has measured it, one line each."""
+    return Metadata(laboratory=known.laboratory, operator=known.operator, sample=known.sample).lines()
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import goniotwin
+from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.components import interval, mostly_added
 from goniotwin.app.campaign.reduction.overlaps import overlaps
 from goniotwin.app.campaign.reduction.points import FLAGS, BsdfPoints
+from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
+from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset
 from goniotwin.app.cli.main import app
 from goniotwin.app.data import conversion
@@ -29,7 +32,8 @@ from goniotwin.app.rig.samples import parse_sample
 from goniotwin.twin.optics import arc_direction, evaluate, from_specular, light_direction
 from tests.app.campaign.reduction.made_points import made_points
 from tests.app.data.exporting import export
-from tests.conftest import RIG, Writer
+from tests.conftest import RIG, SMALL, Writer
+from tests.system.command import invoke
 
 
 def points_of(sigma: float, zenith: np.ndarray, azimuth: np.ndarray, blocked: np.ndarray | None = None) -> BsdfPoints:
@@ -403,3 +407,13 @@ def test_a_file_of_uncertainties_is_no_sample(name: str, reduced: BsdfDataset, t
     for beside, what in ((uncertainty, "uncertainties"), (mask, "mask")):
         with pytest.raises(UserError, match=rf"it has the {what} of paint, red\.\w+, not values; give the table itself"):
             parse_sample(f"table:{beside}")
+
+
+def test_a_csv_has_the_records_of_its_samples_and_who_measured_them(tmp_path: Path) -> None:
+    text = f'{SMALL}[metadata]\noperator = "A. Person"\n[metadata.samples.gaussian-5]\nthickness_mm = 1.5\nnote = "a paint"\n'
+    journal, out = tmp_path / "a.journal", tmp_path / "a.csv"
+    run_without_wires(make_plan(parse_schedule(text, "small"), read_rig(RIG)), journal)
+    assert invoke("export", journal, "--out", out).returncode == 0
+    lines = out.read_text(encoding="utf-8").splitlines()
+    for each in ("operator: A. Person", "sample thickness mm: 1.5", "sample note: a paint"):
+        assert f"# gaussian-5: {each}" in lines
