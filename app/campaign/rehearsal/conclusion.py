@@ -5,7 +5,7 @@ from pathlib import Path
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.rehearsal.forecast import forecast_of
-from goniotwin.app.campaign.rehearsal.warnings import largest_text, missed_warnings, saturation_remedy
+from goniotwin.app.campaign.rehearsal.warnings import largest_text, missed_warnings, saturation_text
 from goniotwin.app.campaign.studies.decades import percent
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.verification import NOTHING, verdicts_text, verify_journal
@@ -39,7 +39,7 @@ def conclude(path: Path) -> Conclusion:
             lines.append(f"{name}: {within} of {values} values reach the target, u ≤ {percent(file.target.relative_u)}")
     for name, tally in found.tallies.items():
         if saturated := tally.missing.get("clipped", 0):
-            lines.append(f"{saturated} values of {name} are saturated at every gain. {saturation_remedy(file, rig)}")
+            lines.append(f"{name}: {saturation_text(saturated, file, rig)}")
     lines += [verdicts_text(verdicts)] if any(each.verdict != NOTHING for each in verdicts) else []
     lines += [f"{each.name} {each.verdict}: {each.remedy}" for each in verdicts if each.remedy]
     return Conclusion(path, schedule, (*lines, *missed_warnings(file, rig, found)))

@@ -45,8 +45,7 @@ def rehearsal_warnings(plan: Plan, statistics: RowStatistics) -> Iterator[str]:
     yield from field_warnings(plan)
     yield from _low_gains(plan, statistics)
     if statistics.saturated:
-        remedy = saturation_remedy(plan.schedule.file, plan.rig.file)
-        yield f"{statistics.saturated} values are saturated at every gain of the schedule. {remedy}"
+        yield saturation_text(statistics.saturated, plan.schedule.file, plan.rig.file)
     for flag, rows in sorted(statistics.flagged.items()):
         remedy = FLAGS[flag].remedy if flag in FLAGS else ""
         yield f"{rows} rows have the flag {flag!r}: {remedy or 'see the events of the data file'}"
@@ -153,11 +152,12 @@ def _low_gains(plan: Plan, statistics: RowStatistics) -> Iterator[str]:
             )
 
 
-def saturation_remedy(file: ScheduleFile, rig: RigFile) -> str:
-    """What to change in a schedule against saturation."""
+def saturation_text(values: int, file: ScheduleFile, rig: RigFile) -> str:
+    """A warning of saturated values, with what to change in the schedule."""
     used = file.gains_v_per_a
     lower = [each for each in rig.photodiodes.gains_v_per_a if used != "automatic" and each < min(used)]
-    return f"Add {literal(lower[-1])} V/A to gains_v_per_a" if lower else "The rig has no lower gain: attenuate the light"
+    remedy = f"Add {literal(lower[-1])} V/A to gains_v_per_a" if lower else "The rig has no lower gain: attenuate the light"
+    return f"{values} values are saturated at every gain of the schedule. {remedy}"
 
 
 def noise_remedy(file: ScheduleFile, rig: RigFile) -> str:

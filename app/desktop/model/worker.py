@@ -181,6 +181,12 @@ class OneAtATime(Generic[Answer]):
             worker.close()
 
 
+def serve_once(compute: Callable[[Any], object], connection: "Connection[Any, Any]") -> None:
+    """Answer the first request by what `compute` returns of it, or by WorkFailed."""
+    request = connection.recv()
+    connection.send(answer_of(lambda: compute(request), WorkFailed))
+
+
 def answer_of(compute: Callable[[], Answer], failed: Callable[[str], Failure]) -> Answer | Failure:
     """What `compute` returns, or the reason why it has failed. Raises NotWanted where it does."""
     try:

@@ -1,14 +1,14 @@
 """The summary at the end of a run: computed beside the window, and shown with what may come next."""
 
+from functools import partial
 from pathlib import Path
 
 from PySide6.QtCore import QObject, Qt, Signal, Slot
 from PySide6.QtWidgets import QWidget
 
-from goniotwin.app.campaign.rehearsal.conclusion import Conclusion
+from goniotwin.app.campaign.rehearsal.conclusion import Conclusion, conclude
 from goniotwin.app.desktop.events.question import Choice, QuestionBox
-from goniotwin.app.desktop.model.conclusion import serve_conclusion
-from goniotwin.app.desktop.model.worker import OneAtATime, WorkFailed
+from goniotwin.app.desktop.model.worker import OneAtATime, WorkFailed, serve_once
 
 RESULTS, REPORT, NEXT, CLOSE = "Results", "Report…", "Next sample…", "Close"
 CHOICES = (
@@ -38,7 +38,7 @@ class ConclusionControl(QObject):
         super().__init__(window)
         self._window = window
         self._conclusions = OneAtATime[Conclusion | WorkFailed](
-            "conclusion", serve_conclusion, self._answered.emit, process=processes
+            "conclusion", partial(serve_once, conclude), self._answered.emit, process=processes
         )
         self.box: QuestionBox | None = None
         self._answered.connect(self._take, Qt.ConnectionType.QueuedConnection)
