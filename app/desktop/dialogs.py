@@ -1,5 +1,6 @@
 """Windows beside the main one, which block nothing: the keys of Stop hold in each of them. Esc, once it is up, closes them."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -66,7 +67,7 @@ class FileDialog(QFileDialog):
     def accept(self) -> None:
         """Choose what was typed or picked; Qt calls it. Its own answer to a name that is not there would block."""
         name = next(iter(self.selectedFiles()), "")
-        if self.acceptMode() is QFileDialog.AcceptMode.AcceptOpen and not Path(name).exists():
+        if self.acceptMode() is QFileDialog.AcceptMode.AcceptOpen and not os.path.exists(name):  # noqa: PTH110  (of too long a name Path raises)
             self.setWindowTitle(f"{self._title}: there is no {Path(name).name}")
         else:
             self.setWindowTitle(self._title)

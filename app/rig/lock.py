@@ -72,9 +72,9 @@ class LockFile:
         Another file in its place, after a person has removed this one, is that of another program: it stays.
         """
         if self._lock.is_locked:
-            with contextlib.suppress(OSError):  # Windows removes no open file: an empty one stays
-                if os.path.samestat(self._held, self.path.stat()):
-                    for file in (self._note, self.path) if remove else (self._note,):
+            for file in (self._note, self.path) if remove else (self._note,):
+                with contextlib.suppress(OSError):  # Windows removes no open file: an empty one stays
+                    if os.path.samestat(self._held, self.path.stat()):
                         file.unlink()  # of two programs that wait for a removed file, FileLock gives neither the lock
             self._lock.release()
 

@@ -15,11 +15,14 @@ def mounting_text(sample: str, record: SampleMetadataTable) -> str:
 
 
 def event_words(kind: str, text: str) -> str:
-    """The text of any event as a person reads it."""
+    """The text of any event as a person reads it. One that is damaged stays as it is."""
     if kind != MOUNTED:
         return text
-    record = json.loads(text)
-    sample, _at = record.pop("sample"), record.pop("mounted_at", None)
+    try:
+        record = dict(json.loads(text))
+        sample, _at = record.pop("sample"), record.pop("mounted_at", None)
+    except (ValueError, TypeError, KeyError):
+        return text
     stated = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in record.items())
     return f"Mounted {sample}{f': {stated}' if stated else ''}"
 

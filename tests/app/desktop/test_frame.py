@@ -222,6 +222,9 @@ def test_a_name_that_is_not_there_blocks_nothing(frame: MainWindow, tmp_path: Pa
     assert QApplication.activeModalWidget() is None
     assert dialog.isVisible()
     assert dialog.windowTitle() == "Open: there is no nothing.csv"
+    name.setText("n" * 300)  # longer than a name can be
+    dialog.accept()
+    assert dialog.isVisible()
     (tmp_path / "there.csv").touch()
     name.setText("there.csv")
     dialog.accept()

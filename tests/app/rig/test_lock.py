@@ -13,7 +13,7 @@ import pytest
 from filelock import FileLock
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig.lock import RigInUse, RigLock, journal_holder, lock_journal
+from goniotwin.app.rig.lock import LockFile, RigInUse, RigLock, journal_holder, lock_journal
 from goniotwin.protocols.loopback import LOOPBACK
 
 HOLD = """
@@ -166,6 +166,19 @@ def test_a_journal_is_locked_by_a_file_beside_it_which_goes_with_the_lock(tmp_pa
     lock.release(remove=True)
     assert journal_holder(journal) is None
     assert [*tmp_path.iterdir()] == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows removes no open file")
+def test_a_file_that_another_program_has_made_in_place_of_a_removed_one_stays(tmp_path: Path) -> None:
+    lock, note = tmp_path / "a.lock", tmp_path / "a.holder"
+    first = LockFile(lock, "a", "a test", 0o600)
+    lock.unlink()  # by a person
+    second = LockFile(lock, "a", "another test", 0o600)
+    first.release(remove=True)
+    assert lock.exists()
+    assert "another test" in note.read_text(encoding="utf-8")
+    second.release(remove=True)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_looking_at_a_lock_leaves_no_file_that_its_holder_removes_meanwhile(

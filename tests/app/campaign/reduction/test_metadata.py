@@ -7,10 +7,12 @@ from dataclasses import asdict
 
 import pytest
 
+from goniotwin.app.campaign.journal.mounting import MOUNTED, event_words, mounting_text
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.metadata import listed_values
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import ScheduleFile, read_schedule
+from goniotwin.app.campaign.schedule.metadata import SampleMetadataTable
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.metadata import Metadata, SampleMetadata, metadata_from_dict
 from goniotwin.app.rig import read_rig
@@ -116,6 +118,15 @@ def test_a_time_is_a_date_time_of_toml_or_a_text(write_schedule: Writer, quote: 
         "mounted_at": "2026-01-31T14:05:00+01:00",
         "thickness_mm": 2.0,
     }
+
+
+def test_a_mounting_is_a_sentence_and_a_damaged_one_stays_as_it_is() -> None:
+    record = SampleMetadataTable(thickness_mm=1.5, mounted_by="A. Person")
+    assert event_words(MOUNTED, mounting_text("satin", record)) == "Mounted satin: thickness mm 1.5, mounted by A. Person"
+    assert event_words(MOUNTED, mounting_text("satin", SampleMetadataTable())) == "Mounted satin"
+    assert event_words("sleep", '{"sample": "satin"}') == '{"sample": "satin"}'
+    for damaged in ("{", "[1]", '{"thickness_mm": 1}'):
+        assert event_words(MOUNTED, damaged) == damaged
 
 
 def test_an_earlier_schedule_is_read_as_before() -> None:
