@@ -119,11 +119,14 @@ class SchedulePanel(QGroupBox):
 
 
 class ScheduleText(QPlainTextEdit):
-    """The text of a schedule. A letter with Alt is that of a control, also of one that is disabled, and no part of the text."""
+    """The text of a schedule. A letter with Alt is that of a control, also of one that is disabled, and no part of the text.
+
+    Brackets are: some keyboards of macOS have them at Alt.
+    """
 
     def keyPressEvent(self, event: QKeyEvent) -> None:
         """Leave letters with Alt alone; Qt calls it."""
-        if event.modifiers() == Qt.KeyboardModifier.AltModifier and event.text().isprintable():
+        if event.modifiers() == Qt.KeyboardModifier.AltModifier and event.text().isascii() and event.text().isalpha():
             event.ignore()
         else:
             super().keyPressEvent(event)
