@@ -138,12 +138,9 @@ class LightComparison(ReadOnlyArrays):
 
     def __str__(self) -> str:
         z = f", largest |z| {self.largest_z:.3g}" if math.isfinite(self.largest_z) else ""
-        of = (
-            f", chi-square with the covariance {self.chi_square:.4g} of {self.degrees}"
-            if math.isfinite(self.chi_square)
-            else ""
-        )
-        return f"{self.light}: {'relative RMS ' if self.count else ''}{self.formula_5}{z}{of}"
+        known = math.isfinite(self.chi_square)
+        chi_square = f", chi-square with the covariance {self.chi_square:.4g} of {self.degrees}" if known else ""
+        return f"{self.light}: {'relative RMS ' if self.count else ''}{self.formula_5}{z}{chi_square}"
 
     def as_dict(self) -> dict[str, Any]:
         """The figures for JSON; None for those that are not known."""

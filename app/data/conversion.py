@@ -240,8 +240,8 @@ def archive_journal(
     """Write the archive of a journal, with all that its uncertainties are made of and what was recorded. Raises UserError."""
     done = write_archive(journal, reduced, path, fill=choice.fill, without_damaged=without_damaged)
     shares = tuple(share for table in done.tables for share in shares_of(table))
-    written = Converted((path,), "archive", done.values, reduced.simulated, choice.fill, shares, done.without_table)
-    return replace(written, has_points=True)
+    notes, simulated = done.without_table, reduced.simulated
+    return Converted((path,), "archive", done.values, simulated, choice.fill, shares, notes, has_points=True)
 
 
 def convert_content(content: BsdfFile, path: Path, form: Format, choice: Choice, source: Path | None = None) -> Converted:

@@ -13,6 +13,7 @@ import pytest
 
 from goniotwin.app.cli.work import doctor
 from goniotwin.app.cli.work.doctor import QT_LIBRARIES, Finding, examine, exit_status
+from goniotwin.app.errors import UserError
 from tests.conftest import REPOSITORY, Writer
 from tests.system.command import goniotwin, invoke
 
@@ -147,3 +148,13 @@ def test_page_and_workflow_install_the_system_libraries_that_it_names() -> None:
     assert names
     for place in ("docs/install.md", ".github/workflows/test.yml"):
         assert names in (REPOSITORY / place).read_text(encoding="utf-8"), place
+
+
+def test_a_rig_file_that_cannot_be_read_is_refused_before_the_examination(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    examined: list[str] = []
+    monkeypatch.setattr(doctor, "import_fault", examined.append)
+    with pytest.raises(UserError, match=r"none\.toml: cannot be read"):
+        examine(tmp_path / "none.toml")
+    assert examined == []

@@ -107,3 +107,10 @@ def test_the_result_is_one_json_object_and_the_help_names_all_templates(
     app(["new", "--help"], standalone_mode=False)
     words = capsys.readouterr().out.replace(",", " ").replace(".", " ").split()
     assert {*TEMPLATES} <= {*words}
+
+
+def test_the_warnings_of_the_plan_are_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The usual reference standard reflects nothing of light on its back."""
+    answers = ("--template", "transmitted", "--sample", "opal", "--target-u", "0.1", "--longest-h", "1", "--etalon", "etalon")
+    run_new(tmp_path / "a.toml", "--rig", RIG, *answers)
+    assert "etalon reflects nothing when its back is lit" in capsys.readouterr().out

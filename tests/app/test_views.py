@@ -82,6 +82,7 @@ def test_a_model_is_compared_in_the_directions_of_the_other(ddr: Path) -> None:
         (("compare", "gaussian:width_deg=5", "gaussian:width_deg=6"), "one of them has to be a journal or a file"),
         (("compare", "theory", JOURNAL), "theory: is the second of the two"),
         (("compare", JOURNAL, "gausian:width_deg=5"), "gausian"),
+        (("compare", JOURNAL, "theroy"), "Or give a file, or theory: the sample of a virtual rig's journal"),
         (("compare", JOURNAL, "missing.ddr"), "missing.ddr: "),
         (("compare", JOURNAL, JOURNAL, "--sample", "a", "--sample", "b", "--sample", "c"), "--sample: may be given twice"),
         (("report", JOURNAL, "--out", JOURNAL), "is the journal itself"),

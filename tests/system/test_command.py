@@ -156,6 +156,13 @@ def test_bad_input_is_one_line_and_leaves_no_journal(
     assert list(tmp_path.glob("a.journal*")) == []
 
 
+def test_a_data_file_without_its_suffix_is_refused_before_anything_is_read(tmp_path: Path) -> None:
+    done = invoke("run", "missing.toml", "--rig", "missing.toml", "--out", tmp_path / "first")
+    assert done.returncode == 2
+    assert f"write --out {tmp_path / 'first'}.journal" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("call", CALLS)
 @pytest.mark.parametrize("command", [[], ["run"], ["check"], ["export"], ["demo"], ["desktop"], ["home"], ["here"]])
 def test_each_command_has_help(command: list[str], call: Call) -> None:

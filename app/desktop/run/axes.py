@@ -74,7 +74,7 @@ class AngleAxis(pg.AxisItem):
     def tickSpacing(self, minVal: float, maxVal: float, size: float) -> list[tuple[float, float]]:
         """The distance of the texts, and that of the ticks between them; each with an offset (pyqtgraph calls it)."""
         if not self.of_angles:
-            return super().tickSpacing(minVal, maxVal, size)  # type: ignore[no-any-return]
+            return super().tickSpacing(minVal, maxVal, size)  # type: ignore[no-any-return]  # pyqtgraph has no types
         pixels = size / max(maxVal - minVal, 1e-9)
         steps = [each for each in ANGLE_STEPS_DEG if each * pixels >= PIXELS_OF_TICK]
         texts = [each for each in steps if each * pixels >= PIXELS_OF_ANGLE] or list(ANGLE_STEPS_DEG[:1])

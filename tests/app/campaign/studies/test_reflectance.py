@@ -72,7 +72,8 @@ def test_a_lobe_that_the_grid_does_not_resolve_is_within_u(step_deg: float, near
             value = evaluate(sample, light_direction(sigma), arc_direction(zenith, azimuth))
             result = quadrature(_points(zenith, azimuth, value), "isotropic")
             off = abs(float(result.weight @ value) - albedo(sample, sigma))
-            assert off < 2.0 * result.interpolation_error(value) + 0.004 * albedo(sample, sigma)
+            beyond = float(result.extrapolated @ value)  # has an uncertainty of its own
+            assert off < 2.0 * result.interpolation_error(value) + beyond
 
 
 def test_a_cosine_is_integrated_and_a_direction_measured_twice_counts_once() -> None:
